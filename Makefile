@@ -1,0 +1,49 @@
+# `make` alone lists the targets. A fresh clone needs Python >= 3.11 with venv, and nothing else.
+PYTHON ?= python3
+VENV := .venv
+BIN := $(VENV)/bin
+READY := $(VENV)/.ready
+export OMP_NUM_THREADS ?=
+ifeq ($(OMP_NUM_THREADS),)
+unexport OMP_NUM_THREADS
+endif
+
+.DEFAULT_GOAL := help
+
+help: ## list the targets
+	@grep -E '^[a-z-]+:.*## ' $(MAKEFILE_LIST) | sed -E 's/:.*## /\t/' | expand -t 12
+
+$(READY): pyproject.toml constraints.txt
+	$(PYTHON) -c 'import sys; sys.exit(None if sys.version_info >= (3, 11) else "WIBAM needs Python 3.11 or newer; set PYTHON=")'
+	$(PYTHON) -m venv $(VENV)
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check -c constraints.txt torch
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check -c constraints.txt -e '.[dev]'
+	@touch $@
+
+setup: $(READY) ## make the virtual environment and install everything into it
+
+demo: $(READY) ## record a simulated intersection, upload it, fine-tune on it and show what came out (about 5 minutes)
+	$(BIN)/wibam demo --out build/demo
+
+serve: $(READY) ## keep the service up for your own footage, on this machine alone
+	$(BIN)/wibam serve
+
+test: $(READY) ## lint, check types and import directions, run all tests
+	$(BIN)/ruff check .
+	$(BIN)/ruff format --check .
+	$(BIN)/lint-imports
+	$(BIN)/mypy
+	$(BIN)/python -m pytest -n 2
+
+fix: $(READY) ## format the code and mend what the linter can mend
+	$(BIN)/ruff check --fix .
+	$(BIN)/ruff format .
+
+weights: $(READY) ## train the bundled networks again from simulated images (about two hours on two cores)
+	$(BIN)/python -m wibam_core.training.pretrain_detector
+	$(BIN)/python -m wibam_core.training.pretrain
+
+clean: ## remove what was built; the virtual environment stays
+	rm -rf build .mypy_cache .ruff_cache .pytest_cache .import_linter_cache
+
+.PHONY: help setup demo serve test fix weights clean
