@@ -1,0 +1,140 @@
+"""Frozen configurations, one per stage. Unknown keys are refused; nothing here reads the environment."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any, Literal
+
+import pydantic
+from pydantic import BaseModel, ConfigDict, Field
+
+from wibam_core.errors import UnknownOption
+
+
+class StageConfig(BaseModel):
+    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
+
+
+class PreflightConfig(StageConfig):
+    min_overlap_s: float = Field(5.0, ge=0, description="shortest time that all recordings must share")
+
+
+class SyncConfig(StageConfig):
+    method: Literal["signals", "none"] = Field(
+        "signals", description="'signals': from traffic lights in view; 'none': the recordings share a clock"
+    )
+    min_confidence: float = Field(0.3, ge=0, le=1, description="signal changes below this are not used")
+    max_offset_s: float = Field(30.0, gt=0, description="largest clock offset to look for")
+
+
+class CalibrateConfig(StageConfig):
+    max_error_px: float = Field(10.0, gt=0, description="fail above this median reprojection error")
+
+
+class FramesConfig(StageConfig):
+    rate_hz: float = Field(12.5, gt=0, le=120, description="common sampling rate")
+    width_px: int = Field(960, ge=64, description="images wider than this are shrunk once, here")
+    jpeg_quality: int = Field(92, ge=30, le=100)
+
+
+class DetectConfig(StageConfig):
+    detector: Literal["bundled", "custom"] = Field(
+        "bundled", description="'custom': the site's own detector.onnx (YOLOX family, COCO classes)"
+    )
+    min_score: float = Field(0.3, gt=0, lt=1)
+    nms_iou: float = Field(0.6, gt=0, lt=1)
+
+
+class AssociateConfig(StageConfig):
+    cluster_radius_m: float = Field(3.0, gt=0, description="DP-means penalty: farther rays open a new vehicle")
+    range_m: float = Field(
+        60.0, gt=0, description="ground points farther than this from the cameras' centre are left out"
+    )
+    max_speed_mps: float = Field(30.0, gt=0, description="fastest vehicle that is linked over time")
+
+
+class DatasetConfig(StageConfig):
+    rate_hz: float = Field(2.5, gt=0, description="instants per second that are trained and evaluated on")
+    train_share: float = Field(0.75, gt=0, lt=1)
+    val_share: float = Field(0.15, ge=0, lt=1)
+    gap_s: float = Field(2.0, ge=0, description="left out between subsets, so that no vehicle is in two")
+
+
+class LiftConfig(StageConfig):
+    rate_hz: float = Field(5.0, gt=0, description="instants per second that are fitted, beside those of the split")
+    min_views: int = Field(2, ge=2)
+    iterations: int = Field(50, ge=5)
+    max_residual: float = Field(0.2, gt=0, description="fits with a larger mean 1 - GIoU are not trained on")
+
+
+class FinetuneConfig(StageConfig):
+    method: Literal["lifted", "paper"] = Field("lifted", description="'paper': eq. 1 of the published method")
+    decode: Literal["plane", "depth"] = Field("plane", description="how boxes are placed along the ray")
+    steps: int = Field(400, ge=1)
+    batch_size: int = Field(8, ge=1)
+    learning_rate: float | None = Field(
+        None, gt=0, description="peak rate; unless given, 1.5e-3 for 'lifted' and 1e-4 for 'paper'"
+    )
+    steps_per_epoch: int = Field(50, ge=1, description="a checkpoint and a validation after each")
+    seed: int = 0
+
+
+class EvaluateConfig(StageConfig):
+    max_range_m: float = Field(50.0, gt=0, description="labels farther from the camera are not counted")
+    min_visibility: float = Field(0.3, ge=0, le=1, description="labels less visible are not counted")
+    match_distance_m: float = Field(4.0, gt=0, description="a detection farther than this from a label is no match")
+    min_score: float = Field(0.3, ge=0, lt=1)
+
+
+class TrackConfig(StageConfig):
+    rate_hz: float = Field(6.25, gt=0, description="instants per second that are tracked on")
+    min_score: float = Field(0.3, ge=0, lt=1)
+    gate_m: float = Field(4.0, gt=0)
+    min_hits: int = Field(4, ge=1, description="tracks seen fewer times are dropped")
+    max_coast_s: float = Field(1.0, gt=0, description="a track unseen for longer ends")
+
+
+class SafetyConfig(StageConfig):
+    ttc_s: float = Field(3.0, gt=0, description="a smaller time to collision is a conflict")
+    pet_s: float = Field(2.0, gt=0, description="a smaller post-encroachment time is a conflict")
+    min_speed_mps: float = Field(1.0, ge=0, description="at least one of the two must move this fast")
+    min_deceleration_mps2: float = Field(
+        3.0, ge=0, description="a collision that softer braking would avoid is no conflict"
+    )
+
+
+class ReportConfig(StageConfig):
+    examples: int = Field(4, ge=1, description="before/after reprojections shown")
+
+
+class PipelineConfig(StageConfig):
+    """All options of a job. Each stage sees its own part alone, so that a change re-runs only what depends on it."""
+
+    preflight: PreflightConfig = PreflightConfig()
+    sync: SyncConfig = SyncConfig()
+    calibrate: CalibrateConfig = CalibrateConfig()
+    frames: FramesConfig = FramesConfig()
+    detect: DetectConfig = DetectConfig()
+    associate: AssociateConfig = AssociateConfig()
+    dataset: DatasetConfig = DatasetConfig()
+    lift: LiftConfig = LiftConfig()
+    finetune: FinetuneConfig = FinetuneConfig()
+    evaluate: EvaluateConfig = EvaluateConfig()
+    track: TrackConfig = TrackConfig()
+    safety: SafetyConfig = SafetyConfig()
+    report: ReportConfig = ReportConfig()
+
+    @classmethod
+    def parse(cls, options: Mapping[str, Any]) -> PipelineConfig:
+        """From nested options, e.g. ``{"finetune": {"steps": 200}}``.
+
+        Raises:
+            UnknownOption: naming the first option that does not exist or has a wrong value.
+        """
+        try:
+            return cls.model_validate(options)
+        except pydantic.ValidationError as error:
+            first = error.errors()[0]
+            name = ".".join(str(part) for part in first["loc"])
+            problem = "there is no such option" if first["type"] == "extra_forbidden" else first["msg"]
+            raise UnknownOption(f"option {name}: {problem}", option=name) from error

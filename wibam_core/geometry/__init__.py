@@ -1,0 +1,1 @@
+"""Rigid transforms, cameras, the ground, boxes, overlaps and reprojection."""

@@ -1,0 +1,51 @@
+"""Reprojection of 3D boxes: the tight image box of what lies in front of the camera."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from wibam_core.geometry.box3d import EDGES, corners
+from wibam_core.geometry.camera import Camera
+
+Array = NDArray[np.float64]
+
+#: Parts of a box nearer than this along the optical axis are cut off before projection (m).
+NEAR_M = 0.1
+
+
+def project_boxes(camera: Camera, boxes: ArrayLike, *, near_m: float = NEAR_M, clamp: bool = True) -> Array:
+    """Tight xyxy boxes (N, 4) in px around the projections of boxes (N, 7).
+
+    Edges are clipped at the near plane first: a corner behind the camera would otherwise flip to the other side
+    of the image. With ``clamp`` the result is cut to the image.
+
+    Returns:
+        (N, 4); NaN where nothing of the box is in front of the camera or, with ``clamp``, in the image.
+    """
+    array = np.asarray(boxes, dtype=np.float64).reshape(-1, 7)
+    if not len(array):
+        return np.zeros((0, 4))
+    cam = camera.to_camera(corners(array))
+    start, end = cam[:, EDGES[:, 0]], cam[:, EDGES[:, 1]]
+    z0, z1 = start[..., 2], end[..., 2]
+    with np.errstate(divide="ignore", invalid="ignore"):
+        t = np.clip((near_m - z0) / (z1 - z0), 0.0, 1.0)
+    cut = start + t[..., None] * (end - start)
+    start = np.where((z0 < near_m)[..., None], cut, start)
+    end = np.where((z1 < near_m)[..., None], cut, end)
+    seen = (z0 >= near_m) | (z1 >= near_m)
+    points = np.concatenate([start, end], axis=1)
+    seen = np.concatenate([seen, seen], axis=1)
+    points[~seen] = (0.0, 0.0, 1.0)
+    uv = camera.project_camera_points(points)
+    low = np.where(seen[..., None], uv, np.inf).min(axis=1)
+    high = np.where(seen[..., None], uv, -np.inf).max(axis=1)
+    box = np.concatenate([low, high], axis=1)
+    gone = ~seen.any(axis=1)
+    if clamp:
+        limits = np.array([camera.width_px, camera.height_px], dtype=np.float64) - 0.5
+        gone |= (low >= limits).any(axis=1) | (high <= -0.5).any(axis=1)
+        box = np.clip(box, -0.5, np.tile(limits, 2))
+    box[gone] = np.nan
+    return box

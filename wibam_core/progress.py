@@ -1,0 +1,23 @@
+"""How long work tells how far it is. Core code only calls; who listens (a terminal, a worker) decides."""
+
+from __future__ import annotations
+
+from typing import Protocol
+
+
+class Progress(Protocol):
+    def __call__(self, fraction: float, message: str = "", **figures: float) -> None:
+        """Report ``fraction`` done in [0, 1], a short message for a person, and named figures (e.g. ``loss``)."""
+
+
+def silent(fraction: float, message: str = "", **figures: float) -> None:
+    """A listener that does nothing."""
+
+
+def part(progress: Progress, start: float, end: float) -> Progress:
+    """A listener for one part of a longer work: its 0..1 becomes ``start``..``end``."""
+
+    def report(fraction: float, message: str = "", **figures: float) -> None:
+        progress(start + (end - start) * min(max(fraction, 0.0), 1.0), message, **figures)
+
+    return report

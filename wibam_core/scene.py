@@ -1,0 +1,328 @@
+"""The nouns that stages exchange.
+
+Pixels are always those of the recording as uploaded; time is int nanoseconds on the reference camera's clock;
+world is metres with Z up and the ground at Z = 0. Boxes in 2D are xyxy.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, field
+from enum import StrEnum
+from types import MappingProxyType
+
+import numpy as np
+from numpy.typing import NDArray
+
+from wibam_core.geometry.box3d import Box3D
+from wibam_core.geometry.camera import Camera
+
+FloatArray = NDArray[np.float64]
+IntArray = NDArray[np.int64]
+
+
+class VehicleClass(StrEnum):
+    """Road users that the system knows. The order is the networks' class order; append, never insert."""
+
+    CAR = "car"
+    VAN = "van"
+    TRUCK = "truck"
+    BUS = "bus"
+
+    @property
+    def number(self) -> int:
+        """Place in `CLASSES`, the networks' class index."""
+        return CLASSES.index(self)
+
+
+CLASSES: tuple[VehicleClass, ...] = tuple(VehicleClass)
+
+
+@dataclass(frozen=True, eq=False)
+class CameraRig(Mapping[str, Camera]):
+    """The calibrated cameras of a site, by id. The first is the reference camera, whose clock is *the* clock."""
+
+    cameras: Mapping[str, Camera]
+
+    def __post_init__(self) -> None:
+        if not self.cameras:
+            raise ValueError("a rig needs at least one camera")
+        object.__setattr__(self, "cameras", MappingProxyType(dict(self.cameras)))
+
+    def __getitem__(self, camera_id: str) -> Camera:
+        return self.cameras[camera_id]
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(self.cameras)
+
+    def __len__(self) -> int:
+        return len(self.cameras)
+
+    @property
+    def reference_id(self) -> str:
+        return next(iter(self.cameras))
+
+
+@dataclass(frozen=True, eq=False)
+class Detections2D:
+    """What a 2D detector saw in one frame.
+
+    Attributes:
+        camera_id: whose frame.
+        frame_time_ns: when the frame was exposed, reference clock. Differs from the instant it belongs to by up
+            to half a frame interval.
+        boxes: (N, 4) xyxy, px. scores: (N,) in [0, 1]. classes: (N,) indices into `CLASSES`.
+    """
+
+    camera_id: str
+    frame_time_ns: int
+    boxes: FloatArray
+    scores: FloatArray
+    classes: IntArray
+
+    def __post_init__(self) -> None:
+        boxes = np.asarray(self.boxes, dtype=np.float64).reshape(-1, 4)
+        scores = np.asarray(self.scores, dtype=np.float64).reshape(-1)
+        classes = np.asarray(self.classes, dtype=np.int64).reshape(-1)
+        if not len(boxes) == len(scores) == len(classes):
+            raise ValueError(f"{len(boxes)} boxes, {len(scores)} scores, {len(classes)} classes")
+        if not (np.isfinite(boxes).all() and np.isfinite(scores).all()):
+            raise ValueError("detections must be finite")
+        if (boxes[:, 2:] < boxes[:, :2]).any():
+            raise ValueError("a 2D box needs x0 <= x1 and y0 <= y1")
+        if len(classes) and (classes.min() < 0 or classes.max() >= len(CLASSES)):
+            raise ValueError(f"a class index must lie in 0..{len(CLASSES) - 1}")
+        object.__setattr__(self, "boxes", boxes)
+        object.__setattr__(self, "scores", scores)
+        object.__setattr__(self, "classes", classes)
+
+    def __len__(self) -> int:
+        return len(self.boxes)
+
+    def where(self, keep: NDArray[np.bool_] | IntArray) -> Detections2D:
+        """The selected detections."""
+        return Detections2D(self.camera_id, self.frame_time_ns, self.boxes[keep], self.scores[keep], self.classes[keep])
+
+
+@dataclass(frozen=True, eq=False)
+class FrameSet:
+    """One instant: at most one frame per camera, all exposed close to ``time_ns``.
+
+    Attributes:
+        time_ns: the instant, a multiple of the sampling period on the reference clock.
+        frame_times_ns: exposure time of each camera's frame, reference clock; cameras without a frame are absent.
+    """
+
+    time_ns: int
+    frame_times_ns: Mapping[str, int]
+
+
+@dataclass(frozen=True)
+class MultiViewVehicle:
+    """2D boxes of one vehicle at one instant in one or more cameras.
+
+    Attributes:
+        obj_id: unique within its instant.
+        track_id: the same for one vehicle over time; −1 where it could not be linked.
+        vehicle_class: by majority over views, weighted by score.
+        x_m, y_m: ground position of the cluster of rays.
+        views: camera id -> index into that camera's `Detections2D` at the instant.
+    """
+
+    obj_id: int
+    track_id: int
+    vehicle_class: VehicleClass
+    x_m: float
+    y_m: float
+    views: Mapping[str, int]
+
+
+@dataclass(frozen=True, eq=False)
+class AnnotatedInstant:
+    """One instant with its detections and the multi-view vehicles found among them."""
+
+    time_ns: int
+    detections: Mapping[str, Detections2D]
+    vehicles: tuple[MultiViewVehicle, ...] = ()
+
+
+@dataclass(frozen=True, eq=False)
+class Vehicles3D:
+    """3D boxes at one instant: truth, hand labels, fits or a network's output.
+
+    Attributes:
+        time_ns: the instant.
+        boxes: (N, 7), see `wibam_core.geometry.box3d`.
+        classes: (N,) indices into `CLASSES`. ids: (N,) vehicle ids, −1 where unknown.
+        scores: (N,) confidence in [0, 1]; 1 for truth and labels.
+        sd: (N, 7) standard deviations in the units of the boxes; NaN where unknown.
+        camera_id: the detecting camera of monocular output, None in the world.
+    """
+
+    time_ns: int
+    boxes: FloatArray
+    classes: IntArray
+    ids: IntArray
+    scores: FloatArray
+    sd: FloatArray
+    camera_id: str | None = None
+
+    def __post_init__(self) -> None:
+        boxes = np.asarray(self.boxes, dtype=np.float64).reshape(-1, 7)
+        n = len(boxes)
+        fields = {
+            "boxes": boxes,
+            "classes": np.asarray(self.classes, dtype=np.int64).reshape(-1),
+            "ids": np.asarray(self.ids, dtype=np.int64).reshape(-1),
+            "scores": np.asarray(self.scores, dtype=np.float64).reshape(-1),
+            "sd": np.asarray(self.sd, dtype=np.float64).reshape(-1, 7),
+        }
+        lengths = {name: len(value) for name, value in fields.items()}
+        if set(lengths.values()) != {n}:
+            raise ValueError(f"unequal lengths: {lengths}")
+        if not np.isfinite(boxes).all() or (boxes[:, 3:6] <= 0).any():
+            raise ValueError("boxes must be finite with positive sizes")
+        for name, value in fields.items():
+            object.__setattr__(self, name, value)
+
+    def __len__(self) -> int:
+        return len(self.boxes)
+
+    @classmethod
+    def of(
+        cls,
+        time_ns: int,
+        boxes: FloatArray,
+        classes: IntArray | None = None,
+        ids: IntArray | None = None,
+        scores: FloatArray | None = None,
+        sd: FloatArray | None = None,
+        camera_id: str | None = None,
+    ) -> Vehicles3D:
+        """Build with defaults: class car, unknown id, score 1, unknown standard deviation."""
+        boxes = np.asarray(boxes, dtype=np.float64).reshape(-1, 7)
+        n = len(boxes)
+        return cls(
+            time_ns,
+            boxes,
+            np.zeros(n, np.int64) if classes is None else classes,
+            np.full(n, -1, np.int64) if ids is None else ids,
+            np.ones(n) if scores is None else scores,
+            np.full((n, 7), np.nan) if sd is None else sd,
+            camera_id,
+        )
+
+    def where(self, keep: NDArray[np.bool_] | IntArray) -> Vehicles3D:
+        """The selected vehicles."""
+        return Vehicles3D(
+            self.time_ns,
+            self.boxes[keep],
+            self.classes[keep],
+            self.ids[keep],
+            self.scores[keep],
+            self.sd[keep],
+            self.camera_id,
+        )
+
+    def __getitem__(self, index: int) -> Box3D:
+        return Box3D.from_array(self.boxes[index])
+
+
+@dataclass(frozen=True, eq=False)
+class LabelledInstant:
+    """True or hand-labelled vehicles at one instant. Labels only ever evaluate.
+
+    Attributes:
+        vehicles: in the world.
+        visibility: camera id -> (N,) share of the vehicle's silhouette that the camera sees, in [0, 1];
+            0 where it is out of view.
+    """
+
+    vehicles: Vehicles3D
+    visibility: Mapping[str, FloatArray]
+
+    def __post_init__(self) -> None:
+        for camera_id, values in self.visibility.items():
+            if np.shape(values) != (len(self.vehicles),):
+                raise ValueError(f"visibility of {camera_id} must have one number per vehicle")
+
+
+@dataclass(frozen=True, eq=False)
+class Track:
+    """One vehicle over time: 7DoF states, smoothed.
+
+    Attributes:
+        track_id: unique within a result.
+        vehicle_class: by majority over time.
+        times_ns: (T,) strictly increasing, reference clock.
+        boxes: (T, 7). sd: (T, 7) standard deviations in the units of the boxes.
+        velocities_mps: (T, 2) along world X and Y. yaw_rates_radps: (T,).
+    """
+
+    track_id: int
+    vehicle_class: VehicleClass
+    times_ns: IntArray
+    boxes: FloatArray
+    sd: FloatArray
+    velocities_mps: FloatArray
+    yaw_rates_radps: FloatArray
+
+    def __post_init__(self) -> None:
+        n = len(self.times_ns)
+        shapes = {
+            "boxes": (n, 7),
+            "sd": (n, 7),
+            "velocities_mps": (n, 2),
+            "yaw_rates_radps": (n,),
+        }
+        for name, shape in shapes.items():
+            if np.shape(getattr(self, name)) != shape:
+                raise ValueError(f"{name} must have shape {shape}, got {np.shape(getattr(self, name))}")
+        if n == 0 or (np.diff(self.times_ns) <= 0).any():
+            raise ValueError("a track needs strictly increasing times")
+
+    def __len__(self) -> int:
+        return len(self.times_ns)
+
+
+@dataclass(frozen=True)
+class ClockMap:
+    """A camera's clock against the reference: ``t_ref = t_local + offset_ns + drift · t_local``.
+
+    ``t_local`` is the frame's presentation timestamp in its recording, int ns.
+    """
+
+    offset_ns: int = 0
+    drift: float = 0.0
+
+    def to_reference_ns(self, local_ns: IntArray | int) -> IntArray:
+        """Local timestamps (...) to the reference clock (...)."""
+        local = np.asarray(local_ns, dtype=np.int64)
+        return local + self.offset_ns + np.rint(self.drift * local).astype(np.int64)
+
+    def to_local_ns(self, reference_ns: IntArray | int) -> IntArray:
+        """Reference timestamps (...) to this camera's clock (...), the inverse within 1 ns."""
+        reference = np.asarray(reference_ns, dtype=np.int64) - self.offset_ns
+        return reference - np.rint(reference * (self.drift / (1.0 + self.drift))).astype(np.int64)
+
+
+@dataclass(frozen=True)
+class SignalChange:
+    """A traffic light seen to change in one camera.
+
+    Attributes:
+        camera_id, signal_id: where; the same ``signal_id`` in two cameras is the same lamp or shows the same phase.
+        time_ns: on that camera's own clock (presentation timestamps).
+        before, after: "red", "amber", "green", "red_amber" or "off".
+        confidence: in [0, 1].
+        half_interval_ns: the change happened within ``time_ns`` ± this: half the time between the last frame that
+            shows the old state and the first that shows the new one. 0 where it is exact.
+    """
+
+    camera_id: str
+    signal_id: str
+    time_ns: int
+    before: str
+    after: str
+    confidence: float = field(default=1.0)
+    half_interval_ns: int = 0

@@ -1,0 +1,123 @@
+"""What a user says about a site: its cameras, calibration and signal regions. The body of ``POST /v1/sites``
+and the ``site.json`` of a site folder are this same model.
+
+A site folder holds ``site.json``, ``recordings/<camera id>.mp4`` (any container), and optionally ``labels.parquet``
+or ``labels.json`` (hand labels, for evaluation alone) and ``detector.onnx`` (a 2D detector of the user's own).
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated, Literal
+
+import pydantic
+from pydantic import BaseModel, ConfigDict, Field
+
+from wibam_core.errors import SiteFileError
+
+#: Ids become file names inside our own folders, so they are plain.
+CameraId = Annotated[str, Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9_-]{0,63}$")]
+Row3 = tuple[float, float, float]
+
+
+class _Model(BaseModel):
+    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
+
+
+class SignalRegion(_Model):
+    """Where a signal head is seen: ``region`` is x, y, width, height in px of the recording.
+
+    Heads that show the same phase carry the same ``id`` in every camera: their changes are matched by it.
+    """
+
+    id: str = Field(min_length=1, max_length=64)
+    region: tuple[float, float, float, float]
+
+
+class Correspondence(_Model):
+    """A surveyed point: ``world`` x, y, z in m and ``pixel`` u, v in px of the recording."""
+
+    world: Row3
+    pixel: tuple[float, float]
+
+
+class MatrixCalibration(_Model):
+    """Ready matrices. ``rvec`` and ``tvec`` are OpenCV's (world to camera, m)."""
+
+    kind: Literal["matrices"] = "matrices"
+    K: tuple[Row3, Row3, Row3]
+    dist: tuple[float, ...] = ()
+    rvec: Row3
+    tvec: Row3
+
+
+class PnPCalibration(_Model):
+    """Known intrinsics; the pose is solved by perspective-n-point."""
+
+    kind: Literal["pnp"] = "pnp"
+    K: tuple[Row3, Row3, Row3]
+    dist: tuple[float, ...] = ()
+    correspondences: tuple[Correspondence, ...]
+
+
+class HomographyCalibration(_Model):
+    """Ground points only (z = 0): focal length and pose follow from the homography (square pixels, centred)."""
+
+    kind: Literal["homography"] = "homography"
+    correspondences: tuple[Correspondence, ...]
+
+
+Calibration = Annotated[MatrixCalibration | PnPCalibration | HomographyCalibration, Field(discriminator="kind")]
+
+
+class SiteCamera(_Model):
+    """One camera. ``width_px`` and ``height_px`` are the size that calibration and regions refer to."""
+
+    id: CameraId
+    width_px: int = Field(gt=0, le=16384)
+    height_px: int = Field(gt=0, le=16384)
+    calibration: Calibration
+    signals: tuple[SignalRegion, ...] = ()
+
+
+class Site(_Model):
+    """A site. The first camera is the reference: its clock is the result's clock."""
+
+    name: str = Field(min_length=1, max_length=200)
+    cameras: tuple[SiteCamera, ...] = Field(min_length=1, max_length=32)
+
+    @pydantic.model_validator(mode="after")
+    def _unique_ids(self) -> Site:
+        ids = [camera.id for camera in self.cameras]
+        if len({i.lower() for i in ids}) != len(ids):
+            raise ValueError(f"camera ids must differ (letter case aside): {ids}")
+        return self
+
+    @property
+    def camera_ids(self) -> tuple[str, ...]:
+        return tuple(camera.id for camera in self.cameras)
+
+    @classmethod
+    def parse(cls, text: str | bytes) -> Site:
+        """From JSON text.
+
+        Raises:
+            SiteFileError: naming the first field that is wrong.
+        """
+        try:
+            return cls.model_validate_json(text)
+        except pydantic.ValidationError as error:
+            first = error.errors()[0]
+            where = ".".join(str(part) for part in first["loc"]) or "the file"
+            raise SiteFileError(
+                f"site description: {where}: {first['msg']}",
+                hint="Correct this field; docs/site-format.md describes them all.",
+                errors=[{"field": ".".join(map(str, e["loc"])), "problem": e["msg"]} for e in error.errors()],
+            ) from error
+
+    @classmethod
+    def load(cls, path: Path) -> Site:
+        """From a ``site.json``."""
+        if not path.is_file():
+            raise SiteFileError(f"{path} does not exist", hint="A site folder holds a site.json.")
+        return cls.parse(path.read_bytes())
