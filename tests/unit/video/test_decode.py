@@ -1,0 +1,165 @@
+from __future__ import annotations
+
+from pathlib import Path
+
+import av
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from wibam_core.errors import UnreadableVideo
+from wibam_core.video.decode import DecodeCount, decode, frames_nearest, shrink
+from wibam_core.video.encode import VideoWriter
+
+FRAME_NS = 40_000_000
+
+
+def numbered(i: int, width: int = 64, height: int = 48) -> np.ndarray:
+    """A flat picture whose grey level tells its number (up to 30)."""
+    return np.full((height, width, 3), 16 + 7 * i, np.uint8)
+
+
+def number_of(image: np.ndarray) -> int:
+    return round((float(image.mean()) - 16) / 7)
+
+
+def write(path: Path, times_ns: list[int], **size: int) -> Path:
+    with VideoWriter(path, size.get("width", 64), size.get("height", 48), 25.0, 12) as writer:
+        for i, time_ns in enumerate(times_ns):
+            writer.write(numbered(i, **size), time_ns)
+    return path
+
+
+@pytest.fixture(scope="module")
+def recording(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, list[int]]:
+    """20 frames from 1 s on, with 6 dropped after the eighth."""
+    times = [10**9 + i * FRAME_NS for i in range(26) if not 8 <= i < 14]
+    return write(tmp_path_factory.mktemp("video") / "a.mp4", times), times
+
+
+def test_frames_come_with_their_own_times(recording: tuple[Path, list[int]]) -> None:
+    path, times = recording
+    count = DecodeCount()
+    frames = list(decode(path, count=count))
+    assert [number_of(image) for _, image in frames] == list(range(20))
+    assert [time_ns for time_ns, _ in frames] == pytest.approx(times, abs=5_556)
+    assert (count.frames, count.damaged) == (20, 0)
+
+
+def test_several_threads_give_the_same_frames(recording: tuple[Path, list[int]]) -> None:
+    path, _ = recording
+    for (time_a, a), (time_b, b) in zip(decode(path), decode(path, threads=2), strict=True):
+        assert time_a == time_b
+        assert np.array_equal(a, b)
+
+
+@settings(max_examples=40, deadline=None)
+@given(
+    targets=st.lists(st.integers(0, 3 * 10**9), min_size=1, max_size=30).map(sorted),
+    tolerance_ns=st.integers(0, 200_000_000),
+)
+def test_law_nearest_selection_is_what_a_search_over_all_frames_finds(
+    recording: tuple[Path, list[int]], targets: list[int], tolerance_ns: int
+) -> None:
+    path, _ = recording
+    times = [time_ns for time_ns, _ in decode(path)]
+    expected = []
+    for target in targets:
+        i = min(range(len(times)), key=lambda k: (abs(times[k] - target), k))
+        if abs(times[i] - target) <= tolerance_ns:
+            expected.append((target, times[i], i))
+    got = frames_nearest(path, targets, tolerance_ns=tolerance_ns)
+    assert [(f.target_ns, f.time_ns, number_of(f.image_bgr)) for f in got] == expected
+
+
+def test_gap_gives_no_frame_and_ties_the_earlier(tmp_path: Path) -> None:
+    path = write(tmp_path / "a.mp4", [0, FRAME_NS, 10 * FRAME_NS])
+    half = FRAME_NS // 2
+    targets = [half, 5 * FRAME_NS, 10 * FRAME_NS, 11 * FRAME_NS]
+    got = [(f.target_ns, f.time_ns) for f in frames_nearest(path, targets, tolerance_ns=half)]
+    assert got == [(half, 0), (10 * FRAME_NS, 10 * FRAME_NS)]
+
+
+def test_descending_targets_are_refused(recording: tuple[Path, list[int]]) -> None:
+    with pytest.raises(ValueError, match="ascend"):
+        list(frames_nearest(recording[0], [2 * 10**9, 10**9], tolerance_ns=FRAME_NS))
+
+
+def test_convention_shrinking_moves_u_to_u_plus_half_times_s_minus_half() -> None:
+    image = np.zeros((90, 160, 3), np.uint8)
+    image[40:48, 100:108] = 255
+    small = shrink(image, 40)
+    rows, columns = np.nonzero(small[..., 0] > 127)
+    assert small.shape == (22, 40, 3)
+    assert columns.mean() == pytest.approx((103.5 + 0.5) / 4 - 0.5, abs=0.01)
+    assert rows.mean() == pytest.approx((43.5 + 0.5) * 22 / 90 - 0.5, abs=0.3)
+    assert shrink(image, 160) is image
+
+
+def test_frames_are_shrunk_on_the_way(recording: tuple[Path, list[int]]) -> None:
+    _, image = next(decode(recording[0], width_px=32))
+    assert image.shape == (24, 32, 3)
+
+
+def test_damaged_frames_are_left_out_and_counted(tmp_path: Path) -> None:
+    rng = np.random.default_rng(3)
+    noise = rng.integers(0, 255, (40, 48, 64, 3), dtype=np.uint8)
+    path = tmp_path / "a.mp4"
+    with VideoWriter(path, 64, 48, 25.0) as writer:
+        for i, image in enumerate(noise):
+            writer.write(image, i * FRAME_NS)
+    sound = list(decode(path))
+    data = bytearray(path.read_bytes())
+    at = data.index(b"mdat") + len(data) // 2
+    data[at : at + 3000] = rng.integers(0, 255, 3000, dtype=np.uint8).tobytes()
+    path.write_bytes(data)
+    count = DecodeCount()
+    times = [time_ns for time_ns, _ in decode(path, count=count)]
+    assert count.damaged > 0
+    assert 5 < len(times) < len(sound)
+    assert (np.diff(times) > 0).all()
+
+
+@pytest.mark.parametrize("degrees", [0, 90, 180, 270])
+def test_convention_frames_are_turned_as_they_are_shown(tmp_path: Path, degrees: int) -> None:
+    image = np.zeros((48, 64, 3), np.uint8)
+    image[:24, :32] = 255  # top left is bright
+    path = tmp_path / "a.mp4"
+    with av.open(str(path), "w") as container:
+        stream = container.add_stream("libx264", rate=25)
+        stream.width, stream.height, stream.pix_fmt = 64, 48, "yuv420p"
+        stream.set_display_rotation(degrees)
+        for _ in range(3):
+            container.mux(stream.encode(av.VideoFrame.from_ndarray(image, format="bgr24")))
+        container.mux(stream.encode(None))
+    _, shown = next(decode(path))
+    assert np.abs(shown.astype(int) - np.rot90(image, degrees // 90)).mean() < 5
+
+
+@pytest.mark.parametrize("colour", [(20, 20, 20), (240, 240, 240), (40, 90, 200), (200, 90, 40)])
+def test_colours_of_full_range_bt709_recordings(tmp_path: Path, colour: tuple[int, int, int]) -> None:
+    path = tmp_path / "a.mp4"
+    with av.open(str(path), "w") as container:
+        stream = container.add_stream("libx264", rate=25, options={"crf": "4"})
+        stream.width, stream.height, stream.pix_fmt = 64, 48, "yuv420p"
+        stream.codec_context.colorspace, stream.codec_context.color_range = 1, 2
+        bgr = av.VideoFrame.from_ndarray(np.full((48, 64, 3), colour, np.uint8), format="bgr24")
+        for _ in range(2):
+            frame = bgr.reformat(format="yuv420p", dst_colorspace=1, dst_color_range=2)
+            container.mux(stream.encode(frame))
+        container.mux(stream.encode(None))
+    _, image = next(decode(path))
+    assert np.abs(image.mean((0, 1)) - colour).max() < 5
+
+
+def test_opening_happens_at_the_first_frame_and_says_what_is_wrong(tmp_path: Path) -> None:
+    with pytest.raises(UnreadableVideo, match="does not exist"):
+        next(decode(tmp_path / "missing.mp4"))
+
+
+@pytest.mark.assets
+def test_real_footage_decodes_whole(assets: Path) -> None:
+    times = [time_ns for time_ns, _ in decode(assets / "footage" / "traffic.mp4", width_px=160)]
+    assert len(times) == 480
+    assert np.mean(np.diff(times)) == pytest.approx(1e9 * 125 / 2997, rel=1e-5)

@@ -1,0 +1,153 @@
+"""Hand labels (or truth): 7DoF boxes per instant with each camera's visibility. They only ever evaluate.
+
+Parquet with the columns of `SCHEMA`, or JSON: a list of objects with the same fields, or
+``{"labels": [...], "empty_instants": [time_ns, ...]}``. An empty instant was labelled and holds no vehicle.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterable
+from itertools import pairwise
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pyarrow as pa
+
+from wibam_core.errors import InvalidLabels
+from wibam_core.formats import tables
+from wibam_core.geometry.box3d import BOX_FIELDS
+from wibam_core.scene import CLASSES, LabelledInstant, Vehicles3D
+
+#: ``vehicle_id`` is the same for one vehicle over time, or absent. ``visibility``: camera id -> share of the
+#: silhouette that the camera sees, in [0, 1]; a camera that is not named does not see the vehicle.
+SCHEMA = pa.schema(
+    [
+        pa.field("time_ns", pa.int64(), nullable=False),
+        pa.field("vehicle_id", pa.int64()),
+        tables.CLASS_COLUMN,
+        *tables.BOX_COLUMNS,
+        pa.field("visibility", pa.map_(pa.string(), pa.float64()), nullable=False),
+    ]
+)
+
+
+def write_labels(path: Path, instants: Iterable[LabelledInstant]) -> None:
+    """Write labels, sorted by time; as JSON where the path ends so, else as Parquet."""
+    ordered = sorted(instants, key=lambda instant: instant.vehicles.time_ns)
+    rows = [row for instant in ordered for row in _rows(instant)]
+    empty = [instant.vehicles.time_ns for instant in ordered if not len(instant.vehicles)]
+    if path.suffix.lower() == ".json":
+        path.write_text(json.dumps({"labels": rows, "empty_instants": empty}, indent=1), encoding="utf-8")
+        return
+    for row in rows:
+        row["visibility"] = list(row["visibility"].items())
+    tables.write_table(path, _table(rows), empty_instants=[(time, None) for time in empty])
+
+
+def read_labels(path: Path) -> list[LabelledInstant]:
+    """Read labels, sorted by time.
+
+    Raises:
+        InvalidLabels: naming the field or row that is wrong.
+    """
+    if _is_parquet(path):
+        table, empty_pairs = tables.read_table(path, SCHEMA, "labels", InvalidLabels)
+        empty = [time for time, _ in empty_pairs]
+    else:
+        table, empty = _read_json(path)
+    table = table.sort_by([("time_ns", "ascending")])
+    times = table["time_ns"].to_numpy()
+    ids = np.array([-1 if i is None else i for i in table["vehicle_id"].to_pylist()], np.int64)
+    classes = tables.class_indices(table, InvalidLabels)
+    boxes = tables.stack_columns(table, BOX_FIELDS)
+    visibility = [dict(cell) for cell in table["visibility"].to_pylist()]
+    _check(times, boxes, ids, visibility)
+    starts = np.flatnonzero(np.r_[True, np.diff(times) != 0]) if len(times) else np.empty(0, np.int64)
+    found = []
+    for a, b in pairwise([*starts.tolist(), len(times)]):
+        cameras = sorted({camera for cell in visibility[a:b] for camera in cell})
+        found.append(
+            LabelledInstant(
+                Vehicles3D.of(int(times[a]), boxes[a:b], classes[a:b], ids[a:b]),
+                {camera: np.array([cell.get(camera, 0.0) for cell in visibility[a:b]]) for camera in cameras},
+            )
+        )
+    found += [LabelledInstant(Vehicles3D.of(time, np.empty((0, 7))), {}) for time in empty]
+    return sorted(found, key=lambda instant: instant.vehicles.time_ns)
+
+
+def _is_parquet(path: Path) -> bool:
+    """By content: an uploaded file may have lost its name."""
+    try:
+        with path.open("rb") as file:
+            return file.read(4) == b"PAR1"
+    except OSError as cause:
+        raise InvalidLabels(f"{path.name} cannot be read: {cause}", hint="Check the file.") from cause
+
+
+def _rows(instant: LabelledInstant) -> list[dict[str, Any]]:
+    v = instant.vehicles
+    return [
+        {
+            "time_ns": int(v.time_ns),
+            "vehicle_id": None if v.ids[i] < 0 else int(v.ids[i]),
+            "class": CLASSES[int(v.classes[i])].value,
+            **{name: float(value) for name, value in zip(BOX_FIELDS, v.boxes[i], strict=True)},
+            "visibility": {camera: float(values[i]) for camera, values in instant.visibility.items()},
+        }
+        for i in range(len(v))
+    ]
+
+
+def _table(rows: list[dict[str, Any]]) -> pa.Table:
+    """Rows as a table of `SCHEMA`; raises pyarrow's errors on wrong values."""
+    columns = {}
+    for column in SCHEMA:
+        plain = pa.string() if pa.types.is_dictionary(column.type) else column.type
+        columns[column.name] = pa.array([row.get(column.name) for row in rows], type=plain).cast(column.type)
+    return pa.table(columns)
+
+
+def _read_json(path: Path) -> tuple[pa.Table, list[int]]:
+    try:
+        data = json.loads(path.read_text(encoding="utf-8"))
+    except (OSError, ValueError) as cause:
+        raise InvalidLabels(f"{path.name} cannot be read as JSON: {cause}", hint="Check the file.") from cause
+    rows = data.get("labels") if isinstance(data, dict) else data
+    empty = data.get("empty_instants", []) if isinstance(data, dict) else []
+    if not isinstance(rows, list) or not all(isinstance(row, dict) for row in rows) or not isinstance(empty, list):
+        raise InvalidLabels(
+            f"{path.name} holds no list of labels", hint='Give a list of objects, or {"labels": [...]}.'
+        )
+    rows = [
+        {**row, "visibility": list(row["visibility"].items())} if isinstance(row.get("visibility"), dict) else row
+        for row in rows
+    ]
+    for i, row in enumerate(rows):
+        missing = [column.name for column in SCHEMA if not column.nullable and row.get(column.name) is None]
+        if missing:
+            raise InvalidLabels(f"{path.name}: label {i} has no {missing[0]}", hint="Fill it in.", field=missing[0])
+    try:
+        return tables.conform(_table(rows), SCHEMA, path.name, "labels", InvalidLabels), [int(t) for t in empty]
+    except (pa.ArrowInvalid, pa.ArrowTypeError, TypeError, ValueError) as cause:
+        raise InvalidLabels(f"{path.name}: {cause}", hint="Correct the value's type.") from cause
+
+
+def _check(times: np.ndarray, boxes: np.ndarray, ids: np.ndarray, visibility: list[dict[str, float]]) -> None:
+    for i, box in enumerate(boxes):
+        where = f"label {i} at {times[i]} ns"
+        if not np.isfinite(box).all():
+            raise InvalidLabels(f"{where} has a number that is not finite", hint="Correct it.", row=i)
+        if (box[3:6] <= 0).any():
+            raise InvalidLabels(f"{where} has a size that is not positive", hint="Sizes are in metres.", row=i)
+        for camera, share in visibility[i].items():
+            if share is None or not 0 <= share <= 1:
+                raise InvalidLabels(
+                    f"{where}: visibility in {camera} is {share}", hint="Visibility lies between 0 and 1.", row=i
+                )
+    known = [(int(t), int(i)) for t, i in zip(times, ids, strict=True) if i >= 0]
+    if len(set(known)) != len(known):
+        twice = next(key for key in known if known.count(key) > 1)
+        raise InvalidLabels(f"vehicle {twice[1]} is labelled twice at {twice[0]} ns", hint="Remove one of the two.")

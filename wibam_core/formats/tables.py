@@ -1,0 +1,126 @@
+"""Typed Parquet tables: the columns that vehicles in every file share, and reading with checks.
+
+Units are in the column names. Files are compressed with zstd and sorted by time.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterable, Sequence
+from pathlib import Path
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pq
+from numpy.typing import NDArray
+
+from wibam_core.errors import InputError
+from wibam_core.geometry.box3d import BOX_FIELDS
+from wibam_core.scene import CLASSES
+
+Array = NDArray[np.float64]
+
+SD_FIELDS = tuple(f"sd_{name}" for name in BOX_FIELDS)
+
+BOX_COLUMNS = [pa.field(name, pa.float64(), nullable=False) for name in BOX_FIELDS]
+#: A null standard deviation is an unknown one.
+SD_COLUMNS = [pa.field(name, pa.float64()) for name in SD_FIELDS]
+CLASS_COLUMN = pa.field("class", pa.dictionary(pa.int8(), pa.string()), nullable=False)
+
+_EMPTY_INSTANTS = b"wibam.empty_instants"
+
+
+def float_columns(names: Sequence[str], values: Array) -> dict[str, pa.Array]:
+    """Columns of ``values`` (N, len(names)); NaN becomes null where the schema allows it."""
+    return {
+        name: pa.array(column, type=pa.float64(), from_pandas=True)
+        for name, column in zip(names, np.asarray(values, dtype=np.float64).reshape(-1, len(names)).T, strict=True)
+    }
+
+
+def class_column(indices: NDArray[np.int64]) -> pa.Array:
+    """Class indices (N,) as a dictionary column of names."""
+    return pa.DictionaryArray.from_arrays(
+        pa.array(np.asarray(indices, dtype=np.int8), type=pa.int8()),
+        pa.array([cls.value for cls in CLASSES], type=pa.string()),
+    )
+
+
+def stack_columns(table: pa.Table, names: Sequence[str]) -> Array:
+    """(N, len(names)) float64 of named columns; null becomes NaN."""
+    if table.num_rows == 0:
+        return np.empty((0, len(names)))
+    return np.stack([table[name].to_numpy().astype(np.float64) for name in names], axis=1)
+
+
+def class_indices(table: pa.Table, error: type[InputError] = InputError) -> NDArray[np.int64]:
+    """(N,) indices into `CLASSES` of the column ``class``."""
+    by_name = {cls.value: cls.number for cls in CLASSES}
+    names = table["class"].cast(pa.string()).to_pylist()
+    unknown = sorted({str(name) for name in names} - set(by_name))
+    if unknown:
+        raise error(
+            f"unknown vehicle class {unknown[0]!r}", hint=f"The classes are {', '.join(by_name)}.", classes=unknown
+        )
+    return np.array([by_name[name] for name in names], dtype=np.int64)
+
+
+def write_table(path: Path, table: pa.Table, *, empty_instants: Iterable[tuple[int, str | None]] = ()) -> None:
+    """Write a table. ``empty_instants``: (time_ns, camera_id) pairs that were looked at and hold nothing."""
+    empty = json.dumps(sorted(empty_instants, key=lambda pair: (pair[0], pair[1] or ""))).encode()
+    table = table.replace_schema_metadata({_EMPTY_INSTANTS: empty})
+    pq.write_table(table, path, compression="zstd")
+
+
+def read_table(
+    path: Path, schema: pa.Schema, what: str, error: type[InputError] = InputError
+) -> tuple[pa.Table, list[tuple[int, str | None]]]:
+    """Read a table and cast it to ``schema``.
+
+    Args:
+        path: the file.
+        schema: what it must hold; further columns are ignored.
+        what: the kind of file, for the error's sentence.
+        error: the error to raise.
+
+    Returns:
+        The table, and its empty instants.
+
+    Raises:
+        InputError: (or ``error``) the file is no Parquet file, or lacks or mistypes a column.
+    """
+    try:
+        table = pq.read_table(path)
+    except (OSError, pa.ArrowInvalid) as cause:
+        raise error(f"{path.name} cannot be read as Parquet: {cause}", hint=f"A {what} file is Parquet.") from cause
+    metadata = table.schema.metadata or {}
+    return conform(table, schema, path.name, what, error), [
+        (int(time), camera) for time, camera in json.loads(metadata.get(_EMPTY_INSTANTS, b"[]"))
+    ]
+
+
+def conform(table: pa.Table, schema: pa.Schema, name: str, what: str, error: type[InputError] = InputError) -> pa.Table:
+    """The columns of ``schema``, cast to its types; a nullable column may be absent."""
+    columns = []
+    for column in schema:
+        if column.name not in table.column_names:
+            if not column.nullable:
+                raise error(
+                    f"{name} has no column {column.name}",
+                    hint=f"A {what} file has the columns {', '.join(schema.names)}.",
+                    column=column.name,
+                )
+            columns.append(pa.nulls(table.num_rows, type=column.type))
+            continue
+        values = table[column.name]
+        if not column.nullable and values.null_count:
+            raise error(f"{name}: column {column.name} has empty values", hint="Fill them in.", column=column.name)
+        try:
+            columns.append(values.cast(column.type))
+        except (pa.ArrowInvalid, pa.ArrowNotImplementedError) as cause:
+            raise error(
+                f"{name}: column {column.name} must be {column.type}, not {values.type}",
+                hint="Correct the column's type.",
+                column=column.name,
+            ) from cause
+    return pa.table(columns, schema=schema)

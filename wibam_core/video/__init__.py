@@ -1,0 +1,1 @@
+"""Reading and writing recordings by presentation timestamp. The only package that imports PyAV."""

@@ -1,0 +1,189 @@
+"""Frames by presentation timestamp. Frame numbers do not exist here: cameras drop frames."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+import av
+import cv2
+import numpy as np
+from av.video.frame import VideoFrame
+from numpy.typing import NDArray
+
+from wibam_core.video.source import ACCURATE, ns_from_pts, open_video
+
+Image = NDArray[np.uint8]
+
+_QUARTER_TURNS = {90: cv2.ROTATE_90_COUNTERCLOCKWISE, 180: cv2.ROTATE_180, 270: cv2.ROTATE_90_CLOCKWISE}
+#: AVColorSpace: unspecified, BT.470BG, SMPTE 170M. AVColorRange "JPEG" (0–255).
+_BT601_MATRICES, _FULL_RANGE = (2, 5, 6), 2
+
+
+@dataclass
+class DecodeCount:
+    """What happened while decoding. Pass one in to read it afterwards.
+
+    Attributes:
+        frames: frames that came out. damaged: packets and frames that were left out because they are corrupt.
+    """
+
+    frames: int = 0
+    damaged: int = 0
+
+
+@dataclass(frozen=True, eq=False)
+class NearestFrame:
+    """The frame nearest to a wanted time.
+
+    Attributes:
+        target_ns: the wanted time. time_ns: the frame's own time. Both on the recording's clock.
+        image_bgr: (H, W, 3) uint8. Two targets nearest to one frame share one image.
+    """
+
+    target_ns: int
+    time_ns: int
+    image_bgr: Image
+
+
+def decode(
+    path: Path, *, width_px: int | None = None, threads: int = 1, count: DecodeCount | None = None
+) -> Iterator[tuple[int, Image]]:
+    """Every frame of a recording: (presentation time in ns, BGR image (H, W, 3) uint8), times strictly increasing.
+
+    Damaged frames are left out and counted.
+
+    Args:
+        path: the file.
+        width_px: shrink frames that are wider to this width, by area, keeping the aspect ratio.
+        threads: decoding threads.
+        count: filled while frames are read.
+
+    Raises:
+        UnreadableVideo: the file cannot be opened.
+    """
+    for time_ns, frame in _frames(path, threads, count or DecodeCount()):
+        yield time_ns, _to_bgr(frame, width_px)
+
+
+def frames_nearest(
+    path: Path,
+    times_ns: Iterable[int],
+    *,
+    tolerance_ns: int,
+    width_px: int | None = None,
+    threads: int = 1,
+    count: DecodeCount | None = None,
+) -> Iterator[NearestFrame]:
+    """For each wanted time the nearest frame (the earlier of two equally near), in one pass over the file.
+
+    Wanted times without a frame within the tolerance yield nothing. Only chosen frames are converted to BGR.
+
+    Args:
+        path: the file.
+        times_ns: wanted times on the recording's clock, ascending.
+        tolerance_ns: largest distance of a frame from its wanted time.
+        width_px: as in `decode`.
+        threads: decoding threads.
+        count: filled while frames are read.
+
+    Raises:
+        UnreadableVideo: the file cannot be opened.
+        ValueError: the wanted times descend.
+    """
+    frames = _frames(path, threads, count or DecodeCount())
+    before: tuple[int, VideoFrame] | None = None
+    after = next(frames, None)
+    chosen: tuple[int, Image] | None = None
+    last_target: int | None = None
+    for target in times_ns:
+        if last_target is not None and target < last_target:
+            raise ValueError("wanted times must ascend")
+        last_target = target
+        while after is not None and after[0] < target:
+            before, after = after, next(frames, None)
+        candidates = [frame for frame in (before, after) if frame is not None]
+        if not candidates:
+            return
+        time_ns, frame = min(candidates, key=lambda candidate: abs(candidate[0] - target))
+        if abs(time_ns - target) > tolerance_ns:
+            continue
+        if chosen is None or chosen[0] != time_ns:
+            chosen = (time_ns, _to_bgr(frame, width_px))
+        yield NearestFrame(int(target), time_ns, chosen[1])
+
+
+def shrink(image: NDArray[np.uint8], width_px: int) -> NDArray[np.uint8]:
+    """Shrink an image (H, W, 3) to a width by area, keeping the aspect ratio; narrower images stay as they are.
+
+    A point at u moves to (u + 0.5)·s − 0.5.
+    """
+    height, width = image.shape[:2]
+    if width <= width_px:
+        return image
+    size = (width_px, max(round(height * width_px / width), 1))
+    return np.asarray(cv2.resize(image, size, interpolation=cv2.INTER_AREA), dtype=np.uint8)
+
+
+def _frames(path: Path, threads: int, count: DecodeCount) -> Iterator[tuple[int, VideoFrame]]:
+    """Sound frames in the order of time, each time once, all of the first one's size."""
+    last_ns: int | None = None
+    size: tuple[int, int] | None = None
+    with open_video(path, threads) as (container, stream):
+        for frame in _decoded(container, stream, count):
+            if frame.pts is None or frame.time_base is None or frame.is_corrupt:
+                count.damaged += 1
+                continue
+            time_ns = ns_from_pts(frame.pts, frame.time_base)
+            size = size or (frame.width, frame.height)
+            if (last_ns is not None and time_ns <= last_ns) or (frame.width, frame.height) != size:
+                count.damaged += 1
+                continue
+            last_ns = time_ns
+            count.frames += 1
+            yield time_ns, frame
+
+
+def _decoded(
+    container: av.container.InputContainer, stream: av.video.stream.VideoStream, count: DecodeCount
+) -> Iterator[VideoFrame]:
+    """Whatever the decoder gives, past packets that it refuses, to the end or to where the file is cut off."""
+    packets = container.demux(stream)
+    while True:
+        try:
+            packet = next(packets)
+        except StopIteration:
+            return
+        except (av.FFmpegError, EOFError):
+            count.damaged += 1
+            break
+        try:
+            frames = stream.decode(packet)
+        except av.FFmpegError:
+            count.damaged += 1
+            continue
+        yield from frames
+    yield from stream.decode(None)
+
+
+def _is_plain(frame: VideoFrame) -> bool:
+    """Whether a frame is what OpenCV's I420 is: BT.601, limited range, even size. OpenCV converts it faster."""
+    return (
+        frame.format.name == "yuv420p"
+        and frame.colorspace in _BT601_MATRICES
+        and frame.color_range != _FULL_RANGE
+        and frame.width % 2 == 0
+        and frame.height % 2 == 0
+    )
+
+
+def _to_bgr(frame: VideoFrame, width_px: int | None) -> Image:
+    if _is_plain(frame):
+        image = np.asarray(cv2.cvtColor(frame.to_ndarray(), cv2.COLOR_YUV2BGR_I420), dtype=np.uint8)
+    else:
+        image = np.asarray(frame.to_ndarray(format="bgr24", interpolation=ACCURATE), dtype=np.uint8)
+    turn = _QUARTER_TURNS.get(int(frame.rotation) % 360)
+    if turn is not None:
+        image = np.asarray(cv2.rotate(image, turn), dtype=np.uint8)
+    return image if width_px is None else shrink(image, width_px)
