@@ -1,0 +1,1 @@
+"""Simulated sites: traffic, renderer and recorder, with the exact truth."""
