@@ -1,0 +1,210 @@
+import json
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+
+from tests.builders import corner_rig, look_at, site_of
+from wibam_core.calibration.matrices import camera_from_matrices, visible_ground
+from wibam_core.calibration.residuals import Residuals, metres_per_pixel
+from wibam_core.calibration.rig import calibrate, check_overlap
+from wibam_core.config import CalibrateConfig
+from wibam_core.errors import CalibrationError, NoOverlap
+from wibam_core.formats.rig import read_rig
+from wibam_core.geometry.ground import intersect_plane
+from wibam_core.scene import CameraRig
+from wibam_core.site import Site
+from wibam_core.stages import calibrate as stage
+from wibam_core.stages.base import StageContext
+
+POINTS = np.array(
+    [[-6, -5, 0], [6, -6, 0], [-5, 6, 0], [6, 6, 0], [0, 1, 0], [-3, 2, 0], [4, -2, 0], [1, 5, 0]], dtype=float
+)
+CONFIG = CalibrateConfig()
+
+
+def correspondences(camera, points, noise_px=0.0, seed=0):
+    pixels, _ = camera.project(points)
+    pixels = pixels + np.random.default_rng(seed).normal(0, noise_px, pixels.shape)
+    return [{"world": w.tolist(), "pixel": p.tolist()} for w, p in zip(points, pixels, strict=True)]
+
+
+def mixed_site(rig, noise_px=0.0):
+    """One camera of each kind of calibration."""
+    raised = POINTS + np.array([0, 0, 1.0]) * np.arange(len(POINTS))[:, None] % 3
+    entries = []
+    for camera_id, camera in rig.items():
+        kind = len(entries) % 3
+        if kind == 0:
+            rvec, tvec = camera.T_cam_world.to_rvec_tvec()
+            calibration = {"kind": "matrices", "K": camera.K.tolist(), "rvec": rvec.tolist(), "tvec": tvec.tolist()}
+        elif kind == 1:
+            points = correspondences(camera, raised, noise_px)
+            calibration = {"kind": "pnp", "K": camera.K.tolist(), "correspondences": points}
+        else:
+            calibration = {"kind": "homography", "correspondences": correspondences(camera, POINTS, noise_px)}
+        size = {"width_px": camera.width_px, "height_px": camera.height_px}
+        entries.append({"id": camera_id, **size, "calibration": calibration})
+    return Site.model_validate({"name": "mixed", "cameras": entries})
+
+
+def replaced(site, index, **calibration):
+    document = site.model_dump(mode="json")
+    document["cameras"][index]["calibration"].update(calibration)
+    return Site.model_validate(document)
+
+
+def test_every_kind_of_calibration_gives_its_camera_back():
+    truth = corner_rig(3)
+    rig, residuals = calibrate(mixed_site(truth), CONFIG)
+    assert list(rig) == list(truth)
+    for camera_id, camera in truth.items():
+        np.testing.assert_allclose(rig[camera_id].centre_m, camera.centre_m, atol=1e-3)
+        np.testing.assert_allclose(rig[camera_id].K, camera.K, rtol=1e-4)
+    assert [r.kind for r in residuals.values()] == ["matrices", "pnp", "homography"]
+    assert residuals["cam2"].median_px < 1e-3
+    assert residuals["cam1"].median_px is None
+
+
+def test_noisy_clicks_give_residuals_of_their_size():
+    _, residuals = calibrate(mixed_site(corner_rig(3), noise_px=1.0), CONFIG)
+    assert 0.2 < residuals["cam2"].median_px < 2.0
+    assert 0.01 < np.median(residuals["cam2"].error_m) < 0.5
+
+
+def test_an_error_names_its_camera():
+    site = mixed_site(corner_rig(3))
+    site = replaced(
+        site, 1, correspondences=site.model_dump(mode="json")["cameras"][1]["calibration"]["correspondences"][:3]
+    )
+    with pytest.raises(CalibrationError, match="camera cam2: 3 correspondences") as error:
+        calibrate(site, CONFIG)
+    assert error.value.details["camera"] == "cam2"
+
+
+def test_a_bad_fit_is_refused():
+    site = mixed_site(corner_rig(3), noise_px=40.0)
+    with pytest.raises(CalibrationError, match="camera cam2"):
+        calibrate(site, CONFIG)
+
+
+def test_raised_points_do_not_pass_for_ground():
+    rig = corner_rig(3)
+    site = replaced(mixed_site(rig), 2, correspondences=correspondences(rig["cam3"], POINTS + [0, 0, 1.0]))
+    with pytest.raises(CalibrationError, match="z = 0"):
+        calibrate(site, CONFIG)
+
+
+def test_pixels_of_another_image_size_are_refused():
+    site = mixed_site(corner_rig(3))
+    points = site.model_dump(mode="json")["cameras"][1]["calibration"]["correspondences"]
+    scaled = [{**p, "pixel": [3 * p["pixel"][0], 3 * p["pixel"][1]]} for p in points]
+    with pytest.raises(CalibrationError, match="outside the image of 640x360"):
+        calibrate(replaced(site, 1, correspondences=scaled), CONFIG)
+
+
+def test_a_camera_that_sees_nothing_of_the_others_is_named():
+    rig = dict(corner_rig(3))
+    rig["far"] = look_at((520.0, 500.0, 8.0), (500.0, 500.0, 0.0))
+    with pytest.raises(NoOverlap, match="camera far"):
+        check_overlap(CameraRig(rig))
+    with pytest.raises(NoOverlap, match="camera far"):
+        calibrate(site_of(CameraRig(rig)), CONFIG)
+
+
+def test_overlap_may_be_a_chain_and_one_camera_is_enough():
+    step = 22.0
+    chain = {f"c{i}": look_at((i * step, -15.0, 6.0), (i * step, 0.0, 0.0)) for i in (0, 2, 1)}
+    assert not check_overlap(CameraRig(chain))
+    assert not check_overlap(CameraRig({"c0": chain["c0"]}))
+
+
+@pytest.mark.parametrize(
+    ("change", "match"),
+    [
+        ({"K": [[500, 0, 4000], [0, 500, 180], [0, 0, 1]]}, "principal point"),
+        ({"K": [[-500, 0, 320], [0, 500, 180], [0, 0, 1]]}, "focal"),
+        ({"dist": [0.1]}, "coefficients"),
+        ({"tvec_scale": 1000.0}, "8000 m above"),
+        ({"tvec_scale": -1.0}, "below the ground"),
+        ({"look_up": True}, "no ground"),
+    ],
+)
+def test_implausible_matrices_are_refused(change, match):
+    change = dict(change)
+    target = (0.0, 0.0, 30.0) if change.pop("look_up", False) else (0.0, 0.0, 0.0)
+    camera = look_at((20.0, -12.0, 8.0), target)
+    rvec, tvec = camera.T_cam_world.to_rvec_tvec()
+    tvec = tvec * change.pop("tvec_scale", 1.0)
+    given = {"K": camera.K, "dist": (), "rvec": rvec, "tvec": tvec, "width_px": 640, "height_px": 360, **change}
+    with pytest.raises(CalibrationError, match=match) as error:
+        camera_from_matrices(**given)
+    assert error.value.hint
+
+
+def test_convention_rvec_and_tvec_are_world_to_camera():
+    camera = look_at((20.0, -12.0, 8.0))
+    rvec, tvec = camera.T_cam_world.to_rvec_tvec()
+    expected, _ = cv2.projectPoints(POINTS, rvec, tvec, camera.K, None)
+    found = camera_from_matrices(camera.K, (), rvec, tvec, 640, 360)
+    np.testing.assert_allclose(found.project(POINTS)[0], expected.reshape(-1, 2), atol=1e-9)
+
+
+def test_metres_per_pixel_agree_with_moving_the_pixel():
+    camera = look_at((20.0, -12.0, 8.0))
+    ground = visible_ground(camera, 12)
+    pixels, _ = camera.project(ground)
+    angles = np.linspace(0, 2 * np.pi, 73)
+    moved = [intersect_plane(camera, pixels + 0.01 * np.array([np.cos(a), np.sin(a)])) for a in angles]
+    worst = np.max([np.linalg.norm(m - ground, axis=1) / 0.01 for m in moved], axis=0)
+    near = np.linalg.norm(ground - camera.centre_m, axis=1) < 60
+    np.testing.assert_allclose(metres_per_pixel(camera, ground)[near], worst[near], rtol=0.02)
+
+
+def test_zones_count_every_point_once_and_grow_coarser_with_distance():
+    camera = look_at((20.0, -12.0, 8.0))
+    pixels, _ = camera.project(POINTS)
+    document = Residuals.of("pnp", camera, POINTS, pixels + 1.0).document()
+    assert sum(zone["points"] for zone in document["zones"]) == len(POINTS)
+    sizes = [zone["m_per_px"] for zone in document["zones"] if zone["m_per_px"] is not None]
+    assert len(sizes) >= 3
+    assert sizes == sorted(sizes)
+    assert document["median_px"] == pytest.approx(np.sqrt(2))
+    json.dumps(document, allow_nan=False)
+
+
+def test_stage_writes_rig_and_residuals(tmp_path):
+    site = mixed_site(corner_rig(3), noise_px=0.3)
+    context = StageContext(site, {}, {}, {}, tmp_path, tmp_path, lambda *a, **k: None)
+    summary = stage.run(context, CONFIG)
+    rig = read_rig(tmp_path / "rig.json")
+    assert list(rig) == ["cam1", "cam2", "cam3"]
+    documents = json.loads((tmp_path / "residuals.json").read_bytes())
+    assert len(documents["cam2"]["residuals"]) == len(POINTS)
+    assert summary["cameras"]["cam2"]["median_px"] == pytest.approx(documents["cam2"]["median_px"])
+
+
+@pytest.mark.assets
+def test_real_intersection_cameras_load_as_matrices(assets: Path):
+    """The two southern cameras are published as OpenCV's world-to-camera pair in metres; they stand
+    6 to 9 m above the station's frame. The other two are in other axes and units: they are refused."""
+    folder = assets / "calibrations" / "tumtraf_s110"
+    cameras = {}
+    for name in ("south1", "south2", "north", "east"):
+        data = json.loads((folder / f"s110_camera_basler_{name}_8mm.json").read_bytes())
+        rvec, _ = cv2.Rodrigues(np.array(data["rotation_matrix"]))
+        size = (data["image_width"], data["image_height"])
+        given = (data["intrinsic_camera_matrix"], data["dist_coefficients"], rvec, data["translation_matrix"], *size)
+        if name in ("north", "east"):
+            with pytest.raises(CalibrationError, match="below the ground"):
+                camera_from_matrices(*given)
+        else:
+            cameras[name] = camera_from_matrices(*given)
+    for camera in cameras.values():
+        assert camera.has_distortion
+        assert 5 < camera.centre_m[2] < 10
+        back, _ = camera.project(intersect_plane(camera, [960.0, 900.0]))
+        np.testing.assert_allclose(back, [960.0, 900.0], atol=1e-3)
+    published = json.loads((folder / "s110_camera_basler_south1_8mm.json").read_bytes())["projection_matrix"]
+    np.testing.assert_allclose(cameras["south1"].P, published, rtol=1e-6, atol=1e-3)

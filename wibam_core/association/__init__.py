@@ -1,0 +1,1 @@
+"""Which 2D boxes of different cameras, and of different moments, show the same vehicle."""

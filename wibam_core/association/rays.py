@@ -1,0 +1,72 @@
+"""Where a 2D box says its vehicle stands: one ray per box, met with a plane at the height of the body's middle."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from wibam_core.geometry.camera import Camera
+from wibam_core.geometry.ground import intersect_plane
+from wibam_core.scene import CLASSES, CameraRig, Detections2D, FloatArray, VehicleClass
+
+#: Height of the plane that the ray is met with, m: a little below the middle of a usual vehicle of the class.
+PLANE_HEIGHT_M: dict[VehicleClass, float] = {
+    VehicleClass.CAR: 0.67,
+    VehicleClass.VAN: 0.97,
+    VehicleClass.TRUCK: 1.4,
+    VehicleClass.BUS: 1.36,
+}
+_PLANE_HEIGHTS_M: FloatArray = np.array([PLANE_HEIGHT_M[c] for c in CLASSES])
+
+#: How far a ground point of a usual car near the camera lies off, m: perspective, taper and jitter together.
+POINT_SD_M = 0.5
+#: Long vehicles are often half hidden or cut by the border, and their middle then lies metres off.
+_CLASS_SCALE = {VehicleClass.CAR: 1.0, VehicleClass.VAN: 1.0, VehicleClass.TRUCK: 1.3, VehicleClass.BUS: 1.6}
+_CLASS_SCALES: FloatArray = np.array([_CLASS_SCALE[c] for c in CLASSES])
+# What a flat ray turns into metres along the ground: error of the row, and of the plane's height as a share of it.
+_ROW_SD_PX = 1.0
+_ROW_SD_SHARE = 0.03
+_HEIGHT_SD_SHARE = 0.2
+_LARGEST_SD_M = 6.0
+
+
+def ground_points(camera: Camera, detections: Detections2D) -> FloatArray:
+    """Ground position (N, 2) in m of each of N detections; NaN where its ray never meets the plane.
+
+    The ray goes through the middle of the image box. A cuboid is symmetric about its centre, so that (perspective
+    within the vehicle aside) the middle of its image box shows that centre from every side and at every pitch; a
+    body that narrows upwards has it somewhat lower. A row nearer to the bottom would be biased towards the camera,
+    and cameras on opposite sides would disagree by twice the bias.
+    """
+    boxes = detections.boxes
+    middles = 0.5 * (boxes[:, :2] + boxes[:, 2:])
+    return intersect_plane(camera, middles, _PLANE_HEIGHTS_M[detections.classes])[:, :2]
+
+
+def ground_covariances(camera: Camera, detections: Detections2D, points: FloatArray) -> FloatArray:
+    """(N, 2, 2) covariances, m², of finite ground points (N, 2) of N detections.
+
+    They are long along the ray where it is flat: a pixel, or a vehicle taller than usual, then means metres.
+    """
+    offset = points - camera.centre_m[:2]
+    distance = np.maximum(np.linalg.norm(offset, axis=-1), 1e-6)
+    plane = _PLANE_HEIGHTS_M[detections.classes]
+    above = np.maximum(camera.centre_m[2] - plane, 0.5)
+    row_px = np.hypot(_ROW_SD_PX, _ROW_SD_SHARE * (detections.boxes[:, 3] - detections.boxes[:, 1]))
+    by_row = (distance**2 + above**2) / above * row_px / camera.K[1, 1]
+    by_height = distance / above * _HEIGHT_SD_SHARE * plane
+    base = POINT_SD_M * _CLASS_SCALES[detections.classes]
+    along = np.minimum(np.sqrt(base**2 + by_row**2 + by_height**2), np.maximum(_LARGEST_SD_M, base))
+    direction = offset / distance[:, None]
+    outer = direction[:, :, None] * direction[:, None, :]
+    return np.asarray(base[:, None, None] ** 2 * np.eye(2) + (along**2 - base**2)[:, None, None] * outer)
+
+
+def rig_centre(rig: CameraRig) -> FloatArray:
+    """(2,) mean ground position of the cameras, m: ranges are counted from here."""
+    return np.asarray(np.mean([camera.centre_m[:2] for camera in rig.values()], axis=0))
+
+
+def within_range(points: FloatArray, centre: FloatArray, range_m: float) -> NDArray[np.bool_]:
+    """Which ground points (N, 2) lie within ``range_m`` of ``centre`` (2,); NaN does not."""
+    return np.asarray(np.linalg.norm(points - centre, axis=-1) <= range_m)

@@ -1,0 +1,1 @@
+"""Cameras from what a user measured, and how well they fit."""

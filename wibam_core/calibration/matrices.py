@@ -1,0 +1,90 @@
+"""Ready matrices, looked at before they are believed."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from wibam_core.errors import CalibrationError
+from wibam_core.geometry.camera import Camera
+from wibam_core.geometry.ground import intersect_plane
+from wibam_core.geometry.se3 import SE3
+
+Array = NDArray[np.float64]
+
+_MAX_HEIGHT_M = 500.0
+#: Ground farther from a camera than this is of no use.
+GROUND_RANGE_M = 200.0
+
+
+def camera_from_matrices(
+    K: ArrayLike, dist: ArrayLike, rvec: ArrayLike, tvec: ArrayLike, width_px: int, height_px: int
+) -> Camera:
+    """A camera from OpenCV's matrices.
+
+    Args:
+        K: (3, 3).
+        dist: (n,) in OpenCV order.
+        rvec: (3,) Rodrigues vector, world to camera.
+        tvec: (3,) m, world to camera.
+        width_px: image width.
+        height_px: image height.
+
+    Raises:
+        CalibrationError: if they make no camera, or none that looks at the ground from above.
+    """
+    camera = build_camera(K, dist, SE3.from_rvec_tvec(rvec, tvec).inverse(), width_px, height_px)
+    check_view(camera)
+    return camera
+
+
+def build_camera(K: ArrayLike, dist: ArrayLike, T_world_cam: SE3, width_px: int, height_px: int) -> Camera:
+    """A `Camera`, with the user's mistakes as `CalibrationError`: also a principal point far outside the image."""
+    try:
+        camera = Camera(np.asarray(K), np.asarray(dist), T_world_cam, width_px, height_px)
+    except ValueError as error:
+        raise CalibrationError(f"the intrinsics make no camera: {error}", hint=_INTRINSICS_HINT) from error
+    cx, cy = camera.K[0, 2] / width_px, camera.K[1, 2] / height_px
+    if not (-0.5 <= cx <= 1.5 and -0.5 <= cy <= 1.5):
+        raise CalibrationError(
+            f"the principal point ({camera.K[0, 2]:.0f}, {camera.K[1, 2]:.0f}) lies far outside the image of "
+            f"{width_px}x{height_px} px",
+            hint=_INTRINSICS_HINT,
+        )
+    return camera
+
+
+_INTRINSICS_HINT = "K is [[fx, 0, cx], [0, fy, cy], [0, 0, 1]] in pixels of the recording's size."
+
+
+def check_view(camera: Camera) -> None:
+    """Refuse a camera that does not look at the ground from above.
+
+    Raises:
+        CalibrationError: below the ground, implausibly high, or with no ground in view.
+    """
+    height = float(camera.centre_m[2])
+    if height <= 0:
+        raise CalibrationError(
+            f"the camera comes out {-height:.2f} m below the ground",
+            hint="rvec and tvec are OpenCV's, world to camera; the world has Z up and the ground at Z = 0, in metres.",
+        )
+    if height > _MAX_HEIGHT_M:
+        raise CalibrationError(
+            f"the camera comes out {height:.0f} m above the ground",
+            hint="Positions are in metres: are these millimetres or centimetres?",
+        )
+    if len(visible_ground(camera)) == 0:
+        raise CalibrationError(
+            f"no ground within {GROUND_RANGE_M:.0f} m is in the camera's view",
+            hint="rvec and tvec are OpenCV's, world to camera (x right, y down, z forward); is one of them inverted?",
+        )
+
+
+def visible_ground(camera: Camera, steps: int = 32) -> Array:
+    """(N, 3) ground points in view within `GROUND_RANGE_M`, at a regular grid of pixels; N may be 0."""
+    u, v = np.meshgrid(np.linspace(0, camera.width_px - 1, steps), np.linspace(0, camera.height_px - 1, steps))
+    points = intersect_plane(camera, np.stack([u.ravel(), v.ravel()], axis=1))
+    with np.errstate(invalid="ignore"):
+        near = np.linalg.norm(points - camera.centre_m, axis=1) <= GROUND_RANGE_M
+    return np.asarray(points[near])

@@ -1,0 +1,1 @@
+"""The annotation set: its split in time and its statistics."""

@@ -1,0 +1,90 @@
+"""The bundled detector: peaks of a centre heat map, and from each the distances to the four sides of its box."""
+
+from __future__ import annotations
+
+import json
+
+import cv2
+import numpy as np
+import onnxruntime
+
+from wibam_core.detection.boxes import Found, Image, IntArray, select
+from wibam_core.errors import InvalidWeights
+from wibam_core.scene import CLASSES
+
+#: What the file's metadata calls this kind of network.
+FAMILY = "wibam-centre"
+INPUT_WIDTH_PX = 512
+STRIDE = 4
+_HEIGHT_MULTIPLE = 32
+
+
+def is_centre_model(session: onnxruntime.InferenceSession) -> bool:
+    """Whether the file says that it holds a network of this kind."""
+    return session.get_modelmeta().custom_metadata_map.get("family") == FAMILY
+
+
+class CentreDetector:
+    """Runs the bundled network.
+
+    Its input ``image`` is (1, 3, H, 512) float32, BGR in 0..1, H padded at the bottom to a multiple of 32. Its outputs
+    are ``heat`` (1, C, H/4, 128), zero but at peaks, and ``ltrb`` (1, 4, H/4, 128) in cells of 4 px. The centre of cell
+    (x, y) is ((x + 0.5)·4 − 0.5, (y + 0.5)·4 − 0.5) px of the input.
+
+    Args:
+        session: for which `is_centre_model` holds.
+        min_score: heat of a peak that is kept.
+        nms_iou: of two boxes that overlap more, the weaker is left out.
+
+    Raises:
+        InvalidWeights: the network lacks these outputs or knows other classes.
+    """
+
+    def __init__(self, session: onnxruntime.InferenceSession, *, min_score: float, nms_iou: float) -> None:
+        names = {"image"} - {node.name for node in session.get_inputs()}
+        names |= {"heat", "ltrb"} - {node.name for node in session.get_outputs()}
+        if names:
+            raise InvalidWeights(
+                f"the {FAMILY} detector has no {', '.join(sorted(names))}", hint="Use the detector as it was exported."
+            )
+        self._session = session
+        self._classes = _class_numbers(session)
+        self._min_score, self._nms_iou = min_score, nms_iou
+
+    def detect(self, image_bgr: Image) -> Found:
+        """Vehicles in an image (H, W, 3) uint8, BGR, in its own pixels."""
+        height, width = image_bgr.shape[:2]
+        content = max(round(height * INPUT_WIDTH_PX / width), 1)
+        padded = content + -content % _HEIGHT_MULTIPLE
+        interpolation = cv2.INTER_AREA if width > INPUT_WIDTH_PX else cv2.INTER_LINEAR
+        image = cv2.resize(image_bgr, (INPUT_WIDTH_PX, content), interpolation=interpolation)
+        blob = np.zeros((1, 3, padded, INPUT_WIDTH_PX), dtype=np.float32)
+        np.divide(image.transpose(2, 0, 1), 255.0, out=blob[0, :, :content], casting="unsafe")
+        heat, ltrb = self._session.run(["heat", "ltrb"], {"image": blob})
+        numbers, rows, columns = np.nonzero(heat[0] >= self._min_score)
+        scores = heat[0, numbers, rows, columns].astype(np.float64)
+        sides = STRIDE * ltrb[0, :, rows, columns].astype(np.float64).reshape(-1, 4)
+        centres = (np.stack([columns, rows], axis=1) + 0.5) * STRIDE - 0.5
+        boxes = np.concatenate([centres - sides[:, :2], centres + sides[:, 2:]], axis=1)
+        scale = np.array([width / INPUT_WIDTH_PX, height / content] * 2)
+        native = (boxes + 0.5) * scale - 0.5
+        return select(native, scores, self._classes[numbers], (width, height), self._nms_iou)
+
+
+def _class_numbers(session: onnxruntime.InferenceSession) -> IntArray:
+    """(C,) our class of each of the network's, by name; networks without names have ours in order."""
+    named = session.get_modelmeta().custom_metadata_map.get("classes")
+    if named is None:
+        return np.arange(len(CLASSES), dtype=np.int64)
+    known = {vehicle.value: vehicle.number for vehicle in CLASSES}
+    try:
+        names = [str(name) for name in json.loads(named)]
+    except (ValueError, TypeError):
+        names = [named]
+    unknown = sorted(set(names) - set(known))
+    if unknown:
+        raise InvalidWeights(
+            f"the {FAMILY} detector knows a class {unknown[0]!r}, which we do not",
+            hint=f"The classes are {', '.join(known)}.",
+        )
+    return np.array([known[name] for name in names], dtype=np.int64)

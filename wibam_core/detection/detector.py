@@ -1,0 +1,68 @@
+"""Choosing and loading a 2D detector."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Protocol
+
+import onnxruntime
+
+from wibam_core.detection.boxes import Found, Image
+from wibam_core.detection.centre import CentreDetector, is_centre_model
+from wibam_core.detection.yolox import YoloxDetector, is_yolox_model
+from wibam_core.errors import InvalidWeights
+
+#: The detector that comes with the project; learned from simulated images.
+BUNDLED = Path(__file__).resolve().parent.parent / "models" / "bundled" / "detector2d.onnx"
+
+_EXPECTED = (
+    "Give an ONNX file of the YOLOX family trained on COCO: one image input (1, 3, H, W) and one output "
+    "(1, cells, 85) that is not decoded, with a cell per 8, 16 and 32 px."
+)
+
+
+class Detector(Protocol):
+    """Finds vehicles in an image."""
+
+    def detect(self, image_bgr: Image) -> Found:
+        """Vehicles in an image (H, W, 3) uint8, BGR, in its own pixels."""
+
+
+def load_detector(path: Path, *, min_score: float, nms_iou: float, threads: int = 1) -> Detector:
+    """Load a detector, choosing its kind by the file's metadata and shapes.
+
+    Args:
+        path: an ONNX file.
+        min_score: weaker boxes are left out.
+        nms_iou: of two boxes that overlap more, the weaker is left out.
+        threads: CPU threads within one image.
+
+    Raises:
+        InvalidWeights: the file is missing, no ONNX file, or a network of another kind.
+    """
+    if not path.is_file():
+        raise InvalidWeights(f"the detector {path.name} does not exist", hint=_EXPECTED)
+    options = onnxruntime.SessionOptions()
+    options.intra_op_num_threads = threads
+    options.inter_op_num_threads = 1
+    options.log_severity_level = 4
+    try:
+        session = onnxruntime.InferenceSession(str(path), options, providers=["CPUExecutionProvider"])
+    except Exception as error:  # each kind of defect has its own class in onnxruntime, all directly below Exception
+        raise InvalidWeights(
+            f"{path.name} is no ONNX network that can be run: {_first_line(error)}", hint=_EXPECTED
+        ) from error
+    if is_centre_model(session):
+        return CentreDetector(session, min_score=min_score, nms_iou=nms_iou)
+    if is_yolox_model(session):
+        return YoloxDetector(session, min_score=min_score, nms_iou=nms_iou)
+    inputs = ", ".join(f"{node.name} {node.shape}" for node in session.get_inputs())
+    outputs = ", ".join(f"{node.name} {node.shape}" for node in session.get_outputs())
+    raise InvalidWeights(
+        f"{path.name} takes {inputs} and gives {outputs}: that is no detector that we know", hint=_EXPECTED
+    )
+
+
+def _first_line(error: Exception) -> str:
+    lines = str(error).strip().splitlines()
+    return lines[0] if lines else type(error).__name__

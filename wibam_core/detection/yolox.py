@@ -1,0 +1,96 @@
+"""Detectors of the YOLOX family (Ge et al. 2021, arXiv 2107.08430) trained on COCO's 80 classes."""
+
+from __future__ import annotations
+
+import cv2
+import numpy as np
+import onnxruntime
+from numpy.typing import NDArray
+
+from wibam_core.detection.boxes import FloatArray, Found, Image, select
+from wibam_core.scene import VehicleClass
+
+STRIDES = (8, 16, 32)
+_COCO_CLASSES = 80
+#: COCO's index of each vehicle that we know. COCO has no vans: they come as cars or trucks.
+_VEHICLES = {2: VehicleClass.CAR, 5: VehicleClass.BUS, 7: VehicleClass.TRUCK}
+_VEHICLE_INDICES = np.array(list(_VEHICLES))
+_CLASS_NUMBERS = np.array([vehicle.number for vehicle in _VEHICLES.values()], dtype=np.int64)
+#: Aeroplanes and boats do not drive on roads: seen from above, a vehicle is often taken for one. They count as
+#: vehicles, of whichever of our classes comes next.
+_TAKEN_FOR = np.array([4, 8])
+_COUNTED = np.concatenate([_VEHICLE_INDICES, _TAKEN_FOR])
+_PADDING = 114
+#: Largest exponent of a side: e^12 px is wider than any image, and nothing overflows.
+_MAX_LOG_SIDE = 12.0
+
+
+def is_yolox_model(session: onnxruntime.InferenceSession) -> bool:
+    """Whether a network has the inputs and the output of this family, at a fixed size."""
+    inputs, outputs = session.get_inputs(), session.get_outputs()
+    if len(inputs) != 1 or len(outputs) != 1 or inputs[0].type != "tensor(float)":
+        return False
+    shape, out = inputs[0].shape, outputs[0].shape
+    if len(shape) != 4 or shape[1] != 3 or not all(isinstance(n, int) and n > 0 and n % 32 == 0 for n in shape[2:]):
+        return False
+    return len(out) == 3 and out[1:] == [len(_grid(shape[3], shape[2])[0]), 5 + _COCO_CLASSES]
+
+
+class YoloxDetector:
+    """Runs a YOLOX network: letterboxed BGR in 0..255, output not decoded.
+
+    Args:
+        session: for which `is_yolox_model` holds.
+        min_score: objectness times the probability of being any vehicle, of a box that is kept.
+        nms_iou: of two boxes that overlap more, the weaker is left out.
+    """
+
+    def __init__(self, session: onnxruntime.InferenceSession, *, min_score: float, nms_iou: float) -> None:
+        self._session = session
+        self._input = session.get_inputs()[0].name
+        self._height, self._width = session.get_inputs()[0].shape[2:]
+        self._cells, self._strides = _grid(self._width, self._height)
+        self._min_score, self._nms_iou = min_score, nms_iou
+
+    def detect(self, image_bgr: Image) -> Found:
+        """Cars, buses and trucks in an image (H, W, 3) uint8, BGR, in its own pixels."""
+        height, width = image_bgr.shape[:2]
+        boxed = letterbox(image_bgr, self._width, self._height)
+        blob = np.ascontiguousarray(boxed.transpose(2, 0, 1)[None], dtype=np.float32)
+        (output,) = self._session.run(None, {self._input: blob})
+        scale = min(self._width / width, self._height / height)
+        raw = output[0].astype(np.float64)
+        probabilities = np.clip(raw[:, 5:], 0.0, 1.0)
+        # classes are independent sigmoids: a vehicle is what is at least one of them
+        score = np.clip(raw[:, 4], 0.0, 1.0) * (1.0 - (1.0 - probabilities[:, _COUNTED]).prod(axis=1))
+        numbers = _CLASS_NUMBERS[probabilities[:, _VEHICLE_INDICES].argmax(axis=1)]
+        good = np.flatnonzero(score >= self._min_score)
+        boxes = self._decode(raw, good) / scale
+        # COCO's pixels begin where ours have their half: its (0, 0) is the corner of the first pixel
+        return select(boxes - 0.5, score[good], numbers[good], (width, height), self._nms_iou)
+
+    def _decode(self, raw: FloatArray, rows: NDArray[np.int64]) -> FloatArray:
+        """Boxes xyxy (N, 4) of some rows of the output, px of the network's input."""
+        strides = self._strides[rows, None]
+        centres = (raw[rows, :2] + self._cells[rows]) * strides
+        halves = np.exp(np.minimum(raw[rows, 2:4], _MAX_LOG_SIDE)) * strides / 2
+        return np.concatenate([centres - halves, centres + halves], axis=1)
+
+
+def letterbox(image: Image, width_px: int, height_px: int) -> Image:
+    """Resize an image (H, W, 3) into the top left corner of a grey one, its aspect ratio kept."""
+    scale = min(width_px / image.shape[1], height_px / image.shape[0])
+    width, height = max(round(image.shape[1] * scale), 1), max(round(image.shape[0] * scale), 1)
+    canvas = np.full((height_px, width_px, 3), _PADDING, dtype=np.uint8)
+    canvas[:height, :width] = cv2.resize(image, (width, height), interpolation=cv2.INTER_LINEAR)
+    return canvas
+
+
+def _grid(width_px: int, height_px: int) -> tuple[FloatArray, FloatArray]:
+    """x and y of every cell (N, 2) and its stride (N,), in the order of the output: row by row, finest level first."""
+    cells, strides = [], []
+    for stride in STRIDES:
+        rows, columns = np.mgrid[: height_px // stride, : width_px // stride]
+        cells.append(np.stack([columns.ravel(), rows.ravel()], axis=1))
+        strides.append(np.full(rows.size, stride))
+    return np.concatenate(cells).astype(np.float64), np.concatenate(strides).astype(np.float64)

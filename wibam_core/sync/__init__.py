@@ -1,0 +1,1 @@
+"""Signal changes in recordings, and from them every camera's clock."""
