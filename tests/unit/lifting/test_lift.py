@@ -1,0 +1,181 @@
+from __future__ import annotations
+
+from dataclasses import replace
+from functools import lru_cache
+
+import numpy as np
+import pytest
+
+from tests.builders import corner_rig
+from tests.multiview import crossing
+from wibam_core.association.associate import associate
+from wibam_core.config import AssociateConfig, LiftConfig
+from wibam_core.geometry.iou import bev_iou_paired
+from wibam_core.lifting.lift import LiftResult, lift
+from wibam_core.scene import AnnotatedInstant, Vehicles3D
+
+
+@lru_cache(maxsize=2)
+def annotated(true_ids: bool) -> list[AnnotatedInstant]:
+    scene = crossing()
+    return scene.instants if true_ids else associate(scene.unassociated, scene.rig, AssociateConfig())
+
+
+@lru_cache(maxsize=2)
+def lifted(true_ids: bool) -> LiftResult:
+    return lift(annotated(true_ids), crossing().rig, LiftConfig())
+
+
+def against_truth(found: list[Vehicles3D], instants: list[AnnotatedInstant]) -> dict[str, np.ndarray]:
+    """Of every lifted vehicle within 3 m of a true one: boxes, truth, s.d., confidence and number of views."""
+    rows: dict[str, list] = {"box": [], "truth": [], "sd": [], "score": [], "views": []}
+    for mine, true, instant in zip(found, crossing().truth, instants, strict=True):
+        views = {v.track_id: len(v.views) for v in instant.vehicles}
+        for k, track in enumerate(mine.ids.tolist()):
+            distance = np.hypot(*(true.boxes[:, :2] - mine.boxes[k, :2]).T)
+            if distance.min() < 3:
+                rows["box"].append(mine.boxes[k])
+                rows["truth"].append(true.boxes[distance.argmin()])
+                rows["sd"].append(mine.sd[k])
+                rows["score"].append(mine.scores[k])
+                rows["views"].append(views[track])
+    return {name: np.array(values) for name, values in rows.items()}
+
+
+def yaw_error(a: np.ndarray, b: np.ndarray) -> np.ndarray:
+    return np.degrees(np.abs((a[:, 6] - b[:, 6] + np.pi) % (2 * np.pi) - np.pi))
+
+
+@pytest.mark.parametrize(
+    ("true_ids", "several_views", "bev", "ate_m", "aoe_deg"),
+    [(True, True, 0.88, 0.12, 2.5), (False, True, 0.86, 0.15, 3.0), (False, False, 0.75, 0.55, 5.0)],
+)
+def test_lifts_are_near_the_truth(
+    true_ids: bool, several_views: bool, bev: float, ate_m: float, aoe_deg: float
+) -> None:
+    found = against_truth(lifted(true_ids).vehicles, annotated(true_ids))
+    these = (found["views"] > 1) == several_views
+    box, truth = found["box"][these], found["truth"][these]
+    assert len(box) > 80
+    assert bev_iou_paired(box, truth).mean() > bev
+    assert np.hypot(*(box - truth)[:, :2].T).mean() < ate_m
+    assert yaw_error(box, truth).mean() < aoe_deg
+    ratio = np.median(box[:, 3:6] / truth[:, 3:6], axis=0)
+    assert np.abs(ratio - 1).max() < 0.07
+
+
+def test_most_vehicles_are_lifted() -> None:
+    scene = crossing()
+    seen = sum(len(v.views) >= 2 for i in scene.instants for v in i.vehicles)
+    assert sum(len(v) for v in lifted(False).vehicles) > 0.93 * seen
+
+
+def test_there_is_an_entry_for_every_instant() -> None:
+    assert [v.time_ns for v in lifted(True).vehicles] == [i.time_ns for i in crossing().instants]
+
+
+def test_a_vehicle_has_one_size_and_stands_on_the_ground() -> None:
+    sizes: dict[int, list[np.ndarray]] = {}
+    for vehicles in lifted(False).vehicles:
+        assert np.allclose(vehicles.boxes[:, 2], vehicles.boxes[:, 5] / 2)
+        for track, box in zip(vehicles.ids.tolist(), vehicles.boxes, strict=True):
+            sizes.setdefault(track, []).append(box[3:6])
+    assert -1 not in sizes
+    spread = [np.ptp(np.log(s), axis=0).max() for s in sizes.values()]
+    assert np.median(spread) < 0.03
+
+
+def test_standard_deviations_are_of_the_right_size() -> None:
+    found = against_truth(lifted(True).vehicles, annotated(True))
+    z = (found["box"] - found["truth"])[:, [0, 1, 3, 4, 5]] / found["sd"][:, [0, 1, 3, 4, 5]]
+    assert (np.percentile(np.abs(z), 68, axis=0) < 2.5).all()
+    assert (np.percentile(np.abs(z), 95, axis=0) > 0.4).all()
+
+
+def test_confidence_ranks_fits() -> None:
+    found = against_truth(lifted(False).vehicles, annotated(False))
+    overlap = bev_iou_paired(found["box"], found["truth"])
+    low, high = np.quantile(found["score"], [0.2, 0.8])
+    assert overlap[found["score"] >= high].mean() > overlap[found["score"] <= low].mean()
+    assert ((found["score"] >= 0) & (found["score"] <= 1)).all()
+
+
+def test_time_offsets_between_cameras_are_allowed_for() -> None:
+    """Views up to 30 ms late move a car by up to 0.4 m; told nothing of it, the fit is pulled along."""
+    scene = crossing()
+    blind = [
+        AnnotatedInstant(
+            i.time_ns, {c: replace(d, frame_time_ns=i.time_ns) for c, d in i.detections.items()}, i.vehicles
+        )
+        for i in scene.instants
+    ]
+    informed = against_truth(lifted(True).vehicles, scene.instants)
+    ignored = against_truth(lift(blind, scene.rig, LiftConfig()).vehicles, blind)
+
+    def error(found: dict[str, np.ndarray]) -> float:
+        apart = np.hypot(*(found["box"] - found["truth"])[:, :2].T)
+        return float(apart[found["views"] > 1].mean())
+
+    assert error(informed) < 0.8 * error(ignored)
+
+
+def test_a_hint_turns_only_vehicles_that_never_move() -> None:
+    scene = crossing()
+    still = [
+        AnnotatedInstant(i.time_ns, scene.instants[40].detections, scene.instants[40].vehicles)
+        for i in scene.instants[:6]
+    ]
+    tracks = {v.track_id for v in scene.instants[40].vehicles if len(v.views) > 1}
+    plain = lift(still, scene.rig, LiftConfig(max_residual=1.0)).vehicles[0]
+    turned = lift(
+        still,
+        scene.rig,
+        LiftConfig(max_residual=1.0),
+        heading_hints={int(i): float(box[6] + np.pi) for i, box in zip(plain.ids, plain.boxes, strict=True)},
+    ).vehicles[0]
+    assert tracks
+    assert (plain.sd[:, 6] > 1).all(), "nothing tells front from rear"
+    assert (turned.sd[:, 6] < 1).all()
+    apart = np.abs((turned.boxes[:, 6] - plain.boxes[:, 6] + np.pi) % (2 * np.pi) - np.pi)
+    assert (apart > 2).all()
+
+
+def test_a_residual_limit_leaves_fits_out() -> None:
+    scene = crossing()
+    strict = lift(scene.instants, scene.rig, LiftConfig(max_residual=0.04))
+    assert strict.statistics["kept"] == sum(len(v) for v in strict.vehicles)
+    assert strict.statistics["kept"] < lifted(True).statistics["kept"]
+
+
+def test_it_is_deterministic() -> None:
+    scene = crossing()
+    first, second = (lift(scene.instants[:10], scene.rig, LiftConfig()).vehicles for _ in range(2))
+    assert all(np.array_equal(a.boxes, b.boxes) for a, b in zip(first, second, strict=True))
+
+
+def test_nothing_to_lift() -> None:
+    result = lift([AnnotatedInstant(5, {})], corner_rig(), LiftConfig())
+    assert [len(v) for v in result.vehicles] == [0]
+    assert result.statistics["fits"] == 0
+
+
+def test_errors_that_last_are_told_from_fresh_ones() -> None:
+    scene = crossing()
+    rng = np.random.default_rng(0)
+    shift = {(c, v.track_id): rng.normal(0, 0.08, 4) for i in scene.instants for v in i.vehicles for c in v.views}
+    lasting = []
+    for instant in scene.instants:
+        detections = dict(instant.detections)
+        for camera_id, seen in detections.items():
+            boxes = seen.boxes.copy()
+            for vehicle in instant.vehicles:
+                if camera_id in vehicle.views:
+                    row = vehicle.views[camera_id]
+                    boxes[row] += shift[camera_id, vehicle.track_id] * np.tile(boxes[row, 2:] - boxes[row, :2], 2)
+            boxes[:, 2:] = np.maximum(boxes[:, 2:], boxes[:, :2] + 1)
+            detections[camera_id] = replace(seen, boxes=boxes)
+        lasting.append(AnnotatedInstant(instant.time_ns, detections, instant.vehicles))
+    fresh = lifted(True).statistics
+    stale = lift(lasting, scene.rig, LiftConfig()).statistics
+    assert stale["edge_persistence"] > fresh["edge_persistence"] + 0.2
+    assert stale["edge_noise"] > 1.3 * fresh["edge_noise"]

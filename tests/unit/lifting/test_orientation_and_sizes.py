@@ -1,0 +1,90 @@
+from __future__ import annotations
+
+import numpy as np
+
+from wibam_core.lifting.observations import Observations
+from wibam_core.lifting.orientation import UNKNOWN_YAW_SD_RAD, standing_headings
+from wibam_core.lifting.sizes import size_information, track_sizes
+from wibam_core.lifting.trajectory import Tracks
+
+
+def observations(tracks: np.ndarray) -> Observations:
+    n = len(tracks)
+    index, late = np.arange(n), np.zeros((n, 1))
+    return Observations(
+        instants=index,
+        vehicles=0 * index,
+        times_ns=index,
+        tracks=tracks,
+        classes=0 * index,
+        positions=np.zeros((n, 2)),
+        cameras=np.zeros((n, 1), np.int64),
+        seen=np.zeros((n, 1), bool),
+        boxes=np.zeros((n, 1, 4)),
+        exact=np.zeros((n, 1, 4), bool),
+        cut=np.zeros((n, 1, 2), bool),
+        lateness_s=late,
+    )
+
+
+def parked_and_passing(passing_yaw: float, lateral_m: float) -> tuple:
+    """Track 0 stands at the origin along +x or −x (fits disagree by half a turn); track 1 passes beside it."""
+    tracks = np.repeat([0, 1], 10)
+    parameters = np.zeros((20, 6))
+    parameters[:10, 5] = np.where(np.arange(10) % 2, 0.05, np.pi - 0.05)
+    parameters[10:, 0], parameters[10:, 1] = np.linspace(-4, 4, 10), lateral_m
+    covariance = np.tile(np.eye(6) * 1e-3, (20, 1, 1))
+    yaw = np.where(tracks == 1, passing_yaw, 0.0)
+    sd = np.where(tracks == 1, 0.05, np.inf)
+    return Tracks.group(tracks, np.arange(20)), observations(tracks), parameters, covariance, yaw, sd
+
+
+def test_traffic_through_the_same_place_tells_front_from_rear() -> None:
+    for passing, wanted in ((0.1, 1.0), (np.pi - 0.1, -1.0)):
+        found = standing_headings(*parked_and_passing(passing, 0.3), hints={})
+        assert np.allclose(np.cos(found.yaw_rad[:10]), wanted, atol=0.05)
+        assert (found.front_sd_rad[:10] < 1).all()
+        assert (found.axis_sd_rad[:10] < 0.2).all()
+
+
+def test_traffic_elsewhere_tells_nothing() -> None:
+    found = standing_headings(*parked_and_passing(0.1, 6.0), hints={})
+    assert (found.front_sd_rad[:10] == UNKNOWN_YAW_SD_RAD).all()
+
+
+def test_a_hint_decides() -> None:
+    found = standing_headings(*parked_and_passing(0.1, 0.3), hints={0: 3.0})
+    assert np.allclose(np.cos(found.yaw_rad[:10]), -1.0, atol=0.05)
+
+
+def test_size_information_leaves_out_what_position_could_explain() -> None:
+    jacobian = np.array([[1.0, 0, 1.0, 0, 0, 0], [1.0, 0, -1.0, 0, 0, 0], [0, 1.0, 0, 1.0, 0, 0]])
+    info = size_information((jacobian.T @ jacobian)[None])[0]
+    assert info[0, 0] > 1.9, "both ends of the vehicle are seen"
+    assert info[1, 1] < 1e-3, "one side alone says as much of the place as of the width"
+
+
+def test_a_track_s_size_is_better_than_its_sightings_and_ignores_wild_ones() -> None:
+    rng = np.random.default_rng(0)
+    n, true = 40, np.log([4.8, 1.9, 1.6])
+    tracks = Tracks.group(np.zeros(n, np.int64), np.arange(n))
+    mean, sd = np.tile(np.log([4.4, 1.8, 1.5]), (n, 1)), np.full((n, 3), 0.1)
+    noise = 0.05
+    info = np.tile(np.eye(3) / noise**2, (n, 1, 1))
+    seen = true + rng.normal(0, noise, (n, 3))
+    fits = (info[0, 0, 0] * seen + 100 * mean) / (info[0, 0, 0] + 100)
+    size, covariance = track_sizes(tracks, fits, info, mean, sd)
+    assert np.abs(size[0] - true).max() < 0.03
+    assert np.abs(size[0] - true).mean() < np.abs(fits - true).mean()
+    fits[:5] += 0.6
+    spoiled, _ = track_sizes(tracks, fits, info, mean, sd)
+    assert np.abs(spoiled[0] - true).max() < 0.04
+    assert (np.sqrt(np.diagonal(covariance[0])) < 0.03).all()
+
+
+def test_without_information_the_prior_remains() -> None:
+    tracks = Tracks.group(np.zeros(3, np.int64), np.arange(3))
+    mean, sd = np.tile(np.log([4.4, 1.8, 1.5]), (3, 1)), np.full((3, 3), 0.1)
+    size, covariance = track_sizes(tracks, mean, np.zeros((3, 3, 3)), mean, sd)
+    assert np.allclose(size[0], mean[0])
+    assert np.allclose(np.sqrt(np.diagonal(covariance[0])), 0.1)

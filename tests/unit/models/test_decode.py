@@ -1,0 +1,134 @@
+"""Decoders away from the exact targets: gradients, horizons, uncertainty. `test_targets.py` holds the round trip."""
+
+import numpy as np
+import pytest
+import torch
+
+from tests.builders import look_at
+from wibam_core.geometry.torch_ops import CameraTensors
+from wibam_core.models.decode import (
+    Decode,
+    PeakValues,
+    boxes3d,
+    cell_centres_px,
+    cells_of_px,
+    find_peaks,
+    standard_deviations,
+    wrap_angle,
+)
+from wibam_core.models.small import MEAN_SIZES_M
+
+SIZES = torch.tensor(MEAN_SIZES_M)
+
+
+def cameras() -> CameraTensors:
+    places = [(20.0, 0.0, 7.0), (0.0, -25.0, 9.0)]
+    return CameraTensors.from_cameras(
+        [look_at(at, focal_px=400.0, width_px=512, height_px=288) for at in places], torch.float64
+    )
+
+
+def values(n: int = 6, seed: int = 0) -> PeakValues:
+    rng = np.random.default_rng(seed)
+
+    def tensor(*shape: int) -> torch.Tensor:
+        return torch.tensor(rng.normal(0, 0.3, shape))
+
+    return PeakValues(
+        torch.tensor(rng.integers(0, 2, n)),
+        torch.tensor(np.column_stack([rng.integers(20, 100, n), rng.integers(30, 70, n)])),
+        torch.tensor(rng.integers(0, 4, n)),
+        tensor(n, 4),
+        tensor(n, 2),
+        tensor(n) + 3.0,
+        tensor(n, 3),
+        tensor(n, 2),
+        tensor(n, 4) - 2.0,
+    )
+
+
+@pytest.mark.parametrize("decode", ["plane", "depth"])
+def test_decoding_is_differentiable(decode: Decode) -> None:
+    found = values()
+
+    def decoded(centre3d: torch.Tensor, depth: torch.Tensor, size: torch.Tensor, yaw: torch.Tensor) -> torch.Tensor:
+        moved = PeakValues(
+            found.image, found.cells, found.classes, found.box2d, centre3d, depth, size, yaw, found.log_scale
+        )
+        return boxes3d(moved, cameras(), SIZES, decode)
+
+    leaves = [v.clone().requires_grad_() for v in (found.centre3d, found.depth, found.size, found.yaw)]
+    assert torch.autograd.gradcheck(decoded, leaves, atol=1e-5)
+
+
+def test_plane_decoding_puts_boxes_on_the_ground() -> None:
+    boxes = boxes3d(values(), cameras(), SIZES, "plane")
+    torch.testing.assert_close(boxes[:, 2], boxes[:, 5] / 2)
+
+
+def test_boxes_are_finite_and_plausible_whatever_the_network_says() -> None:
+    wild = values()
+    wild = PeakValues(
+        wild.image,
+        wild.cells * 0,  # the sky
+        wild.classes,
+        wild.box2d * 100,
+        wild.centre3d * 100,
+        wild.depth * 100,
+        wild.size * 100,
+        wild.yaw * 0,
+        wild.log_scale * 100,
+    )
+    for decode in ("plane", "depth"):
+        boxes = boxes3d(wild, cameras(), SIZES, decode)
+        assert torch.isfinite(boxes).all()
+        assert (boxes[:, 3:6] > 0).all()
+        assert torch.isfinite(standard_deviations(wild, boxes, cameras())).all()
+
+
+def test_the_positions_uncertainty_is_that_of_the_centre_moved_over_the_ground() -> None:
+    found = values(n=1, seed=3)
+    log_scale = torch.tensor([[-3.0, 0.0, -3.0, -3.0]], dtype=torch.float64)
+    fields = {name: getattr(found, name) for name in found.__dataclass_fields__} | {"log_scale": log_scale}
+    found = PeakValues(**fields)
+    boxes = boxes3d(found, cameras(), SIZES, "plane")
+    sd = standard_deviations(found, boxes, cameras())[0]
+    scale = float(np.exp(-3.0) * np.sqrt(2))
+    rng = np.random.default_rng(0)
+    moved = []
+    for offset in rng.normal(0, scale, (4000, 2)):
+        shifted = PeakValues(**(fields | {"centre3d": found.centre3d + torch.tensor(offset)}))
+        moved.append(boxes3d(shifted, cameras(), SIZES, "plane")[0, :2].numpy())
+    np.testing.assert_allclose(sd[:2].numpy(), np.std(moved, axis=0), rtol=0.1)
+    np.testing.assert_allclose(sd[3:6].numpy(), boxes[0, 3:6].numpy() * scale, rtol=1e-6)
+    assert float(sd[6]) == pytest.approx(scale)
+
+
+def test_convention_cells_are_centred_in_their_four_pixels() -> None:
+    np.testing.assert_allclose(cell_centres_px(torch.tensor([[0, 0], [10, 3]])).numpy(), [[1.5, 1.5], [41.5, 13.5]])
+    pixels = torch.tensor([[3.7, 100.2]])
+    torch.testing.assert_close(cell_centres_px(cells_of_px(pixels)), pixels)
+
+
+def test_angles_wrap_to_the_half_open_circle() -> None:
+    angles = torch.tensor([0.0, torch.pi, -torch.pi, 4.0, -4.0, 20.0], dtype=torch.float64)
+    wrapped = wrap_angle(angles)
+    assert (wrapped > -torch.pi).all()
+    assert (wrapped <= torch.pi).all()
+    torch.testing.assert_close(torch.sin(wrapped), torch.sin(angles))
+    torch.testing.assert_close(torch.cos(wrapped), torch.cos(angles))
+
+
+def test_peaks_are_local_maxima_best_first() -> None:
+    heat = torch.full((2, 4, 12, 16), -6.0)
+    heat[0, 1, 5, 7] = 3.0
+    heat[0, 2, 5, 8] = 2.0  # beside a better peak of another class
+    heat[0, 0, 9, 2] = 1.0
+    heat[1, 3, 0, 0] = 0.0
+    peaks = find_peaks(heat, 0.3)
+    assert peaks.image.tolist() == [0, 0, 1]
+    assert peaks.cells.tolist() == [[7, 5], [2, 9], [0, 0]]
+    assert peaks.classes.tolist() == [1, 0, 3]
+    assert peaks.scores.tolist() == pytest.approx([0.9526, 0.7311, 0.5], abs=1e-3)
+    assert len(find_peaks(heat, 0.3, top_k=1).image) == 2
+    assert len(find_peaks(heat, 0.99).image) == 0

@@ -1,0 +1,87 @@
+"""From frames of any size to vehicles in the world, one answer per frame, in order."""
+
+import numpy as np
+import pytest
+import torch
+
+from tests.builders import look_at
+from wibam_core.models.inference import Frame, content_height_px, predict, prepare_camera, prepare_image
+from wibam_core.models.small import SmallNetwork
+from wibam_core.models.trunk import TrunkShape
+
+TINY = TrunkShape(channels=(8, 8, 8, 8, 8), blocks=(0, 0, 0, 0), neck=8)
+
+
+@pytest.fixture(scope="module")
+def network() -> SmallNetwork:
+    torch.set_num_threads(1)
+    torch.manual_seed(3)
+    made = SmallNetwork(TINY)
+    torch.nn.init.normal_(made.heads["heat"].get_parameter("weight"), std=0.5)
+    return made.eval()
+
+
+def frame(width: int, height: int, number: int, camera_size: tuple[int, int] | None = None) -> Frame:
+    rng = np.random.default_rng(number)
+    camera_width, camera_height = camera_size or (width, height)
+    camera = look_at((20, 0, 7), focal_px=0.8 * camera_width, width_px=camera_width, height_px=camera_height)
+    return Frame(rng.integers(0, 256, (height, width, 3), dtype=np.uint8), camera, f"cam{number % 2}", number)
+
+
+def test_every_frame_gets_one_answer_in_order_whatever_the_batches(network: SmallNetwork) -> None:
+    sizes = [(640, 360), (640, 360), (512, 384), (960, 540), (300, 500)]
+    frames = [frame(*size, number) for number, size in enumerate(sizes)]
+    batched = list(predict(network, iter(frames), decode="plane", min_score=0.05, batch_size=2))
+    single = list(predict(network, frames, decode="plane", min_score=0.05, batch_size=1))
+    assert [v.time_ns for v in batched] == [0, 1, 2, 3, 4]
+    assert [v.camera_id for v in batched] == ["cam0", "cam1", "cam0", "cam1", "cam0"]
+    assert sum(map(len, batched)) > 0
+    for one, two in zip(batched, single, strict=True):
+        np.testing.assert_allclose(one.boxes, two.boxes, atol=1e-3)
+        np.testing.assert_allclose(one.scores, two.scores, atol=1e-5)
+        assert np.isfinite(one.sd).all()
+        assert (np.diff(one.scores) <= 0).all()
+
+
+def test_the_camera_may_have_another_size_than_the_image(network: SmallNetwork) -> None:
+    one = next(predict(network, [frame(640, 360, 1)], decode="plane", min_score=0.05))
+    two = next(predict(network, [frame(640, 360, 1, (1920, 1080))], decode="plane", min_score=0.05))
+    np.testing.assert_allclose(one.boxes, two.boxes, atol=0.02)
+
+
+def test_no_frames_no_answers(network: SmallNetwork) -> None:
+    assert list(predict(network, [], decode="depth", min_score=0.1)) == []
+
+
+def test_a_bar_that_nothing_reaches_gives_empty_answers(network: SmallNetwork) -> None:
+    (answer,) = predict(network, [frame(640, 360, 0)], decode="depth", min_score=1.0)
+    assert len(answer) == 0
+
+
+def test_images_are_scaled_to_the_width_and_padded_below() -> None:
+    image = np.full((1080, 1920, 3), 200, np.uint8)
+    prepared = prepare_image(image)
+    assert prepared.shape == (288, 512, 3)
+    tall = prepare_image(np.full((300, 400, 3), 200, np.uint8))
+    assert tall.shape == (384, 512, 3)
+    odd = prepare_image(np.full((301, 512, 3), 200, np.uint8))
+    assert odd.shape == (320, 512, 3)
+    assert (odd[:301] == 200).all()
+    assert (odd[301:] == 0).all()
+    assert content_height_px(1920, 1080) == 288
+
+
+def test_the_prepared_camera_sees_where_the_prepared_image_shows() -> None:
+    camera = look_at((20, 0, 7), focal_px=1500.0, width_px=1920, height_px=1080)
+    point = np.array([2.0, 1.0, 0.0])
+    uv, _ = camera.project(point)
+    scaled, _ = prepare_camera(camera).project(point)
+    np.testing.assert_allclose(scaled, (uv + 0.5) * 512 / 1920 - 0.5)
+
+
+def test_frames_refuse_other_images() -> None:
+    good = frame(64, 36, 0)
+    with pytest.raises(ValueError, match="uint8"):
+        Frame(good.image.astype(float), good.camera, "a", 0)  # type: ignore[arg-type]
+    with pytest.raises(ValueError, match="uint8"):
+        Frame(good.image[..., 0], good.camera, "a", 0)

@@ -1,0 +1,70 @@
+"""Labels of site frames: in the right pixels, at the right moment, of the right vehicle."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from tests.site_dataset import LATENESS_NS, PERIOD_NS, TinySite, boxes_at, tiny_site
+from wibam_core.geometry.box3d import corners
+from wibam_core.training.dataset import ImageCache, site_views
+
+
+@pytest.fixture(scope="module")
+def site(tmp_path_factory: pytest.TempPathFactory) -> TinySite:
+    return tiny_site(tmp_path_factory.mktemp("site"))
+
+
+def test_3d_labels_project_into_the_2d_boxes_of_the_moment_of_exposure(site: TinySite) -> None:
+    views = site_views(site.instants, site.frames, site.lifts, site.rig)
+    assert len(views) == 12
+    for view in views:
+        uv, _ = view.labels.camera.project(corners(view.labels.boxes3d))
+        tight = np.concatenate([uv.min(axis=1), uv.max(axis=1)], axis=1)
+        np.testing.assert_allclose(view.labels.boxes2d, tight, atol=1e-6)
+        when = view.time_ns + LATENESS_NS[view.camera_id]
+        np.testing.assert_allclose(view.labels.boxes3d, boxes_at(when), atol=1e-9)
+
+
+def test_confidence_and_unknown_fronts_come_from_the_fits(site: TinySite) -> None:
+    labels = site_views(site.instants, site.frames, site.lifts, site.rig)[0].labels
+    np.testing.assert_array_equal(labels.confidence, [1.0, 0.5])
+    np.testing.assert_array_equal(labels.front_known, [True, False])
+
+
+def test_other_views_are_those_of_the_same_vehicle(site: TinySite) -> None:
+    view = site_views(site.instants, site.frames, site.lifts, site.rig)[1]  # east at the first instant
+    assert view.camera_id == "east"
+    assert sorted(zip(view.other_vehicle.tolist(), view.other_camera.tolist(), strict=True)) == [
+        (0, 0), (0, 2), (1, 0), (1, 2),
+    ]  # fmt: skip
+    names = list(site.rig)
+    for vehicle, camera, box in zip(view.other_vehicle, view.other_camera, view.other_boxes, strict=True):
+        native = site.instants[0].detections[names[camera]].boxes[vehicle]
+        np.testing.assert_allclose(box, (native + 0.5) * 0.8 - 0.5)
+
+
+def test_vehicles_that_are_left_out_or_not_fitted_keep_their_2d_boxes(site: TinySite) -> None:
+    without = [vehicles.where(np.array([False, True])) for vehicles in site.lifts]
+    view = site_views(site.instants, site.frames, without, site.rig, frozenset({8}))[0]
+    assert len(view.labels.boxes2d) == 2
+    assert np.isnan(view.labels.boxes3d).all()
+    assert set(view.other_vehicle.tolist()) == {0}
+
+
+def test_one_instant_alone_has_no_velocity(site: TinySite) -> None:
+    views = site_views(site.instants[:1], site.frames, site.lifts[:1], site.rig)
+    for view in views:
+        np.testing.assert_allclose(view.labels.boxes3d, boxes_at(0))
+
+
+def test_images_are_prepared_once_and_padded(site: TinySite, tmp_path: Path) -> None:
+    views = site_views(site.instants, site.frames, site.lifts, site.rig)
+    cache = ImageCache(tmp_path / "images.npy", views, site.frames)
+    first = cache.view(5)
+    assert first.image.shape == (128, 512, 3)
+    np.testing.assert_array_equal(first.image, cache.view(5).image)
+    box = np.rint(first.boxes2d[0]).astype(int)
+    middle = first.image[(box[1] + box[3]) // 2, (box[0] + box[2]) // 2]
+    assert middle[2] > 150  # vehicles are painted red
+    assert views[5].time_ns == PERIOD_NS

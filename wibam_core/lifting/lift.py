@@ -1,0 +1,281 @@
+"""From associated 2D boxes to 7DoF boxes: single fits first, then one size and a consistent heading per track."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import torch
+
+from wibam_core.config import LiftConfig
+from wibam_core.geometry.se3 import normalise_angle
+from wibam_core.geometry.torch_ops import CameraTensors
+from wibam_core.lifting.confidence import confidence
+from wibam_core.lifting.fit import YAW, Fit, FitProblem, fit, joined, with_noise, yaw_starts
+from wibam_core.lifting.noise import noise_of, persistence
+from wibam_core.lifting.observations import Observations, observe
+from wibam_core.lifting.orientation import standing_headings
+from wibam_core.lifting.sizes import size_information, track_sizes
+from wibam_core.lifting.templates import LOG_SIZE_MEAN, LOG_SIZE_SD, TEMPLATES
+from wibam_core.lifting.trajectory import Motion, Tracks, headings, smooth
+from wibam_core.progress import Progress, silent
+from wibam_core.scene import AnnotatedInstant, CameraRig, FloatArray, Vehicles3D
+
+#: Of a cluster of rays, and of a single ray, m.
+_CLUSTER_SD_M, _RAY_SD_M = 0.7, 3.0
+#: Fits are never trusted to be better than this: m, and share of a size (a body differs from its template).
+_POSITION_FLOOR_M = 0.05
+_SIZE_FLOOR = 0.02
+_YAW_STARTS = 4
+#: Errors that all views of a vehicle share, or that last, leave no residual: edges are this much worse than it says.
+_HIDDEN_NOISE = 1.5
+#: Fits from which the detector's noise is estimated.
+_NOISE_SAMPLE = 400
+#: A track that enough cameras saw at this many instants has a known size, and is followed where fewer see it.
+_SIGHTINGS_FOR_SIZE = 5
+#: Fits that fewer cameras see than asked for must be as certain as this, m.
+_FEW_VIEWS_SD_M = 0.5
+
+
+@dataclass(frozen=True, eq=False)
+class LiftResult:
+    """Fitted vehicles, one entry for every instant given, and figures about all fits (JSON types)."""
+
+    vehicles: list[Vehicles3D]
+    statistics: dict[str, Any]
+
+
+@contextmanager
+def _one_thread() -> Iterator[None]:
+    """Run torch on one thread: its pool costs more than it gains on tensors this small, 20 times on a busy machine."""
+    threads = torch.get_num_threads()
+    torch.set_num_threads(1)
+    try:
+        yield
+    finally:
+        torch.set_num_threads(threads)
+
+
+@_one_thread()
+def lift(
+    instants: Sequence[AnnotatedInstant],
+    rig: CameraRig,
+    config: LiftConfig,
+    progress: Progress = silent,
+    heading_hints: Mapping[int, float] | None = None,
+) -> LiftResult:
+    """Fit every vehicle that enough cameras see, using its whole track.
+
+    Where fewer see it, a vehicle is fitted too if its size is known from elsewhere in its track and its place certain.
+
+    Args:
+        instants: associated, in order of time. The denser, the better the motion.
+        rig: the cameras that the instants name.
+        config: fewest views, most steps, largest residual.
+        progress: told now and then.
+        heading_hints: track id -> yaw in the world (rad) from elsewhere, e.g. a network; it only decides which end of
+            a vehicle that never moves is its front.
+
+    Returns:
+        Boxes in the world with ``ids`` = track id, ``scores`` = confidence and standard deviations. A standing
+        vehicle whose front could not be told from its rear has a yaw s.d. above 1 rad.
+    """
+    seen = _worth_fitting(observe(instants, rig, 1), config.min_views)
+    if not len(seen):
+        return LiftResult(
+            [Vehicles3D.of(i.time_ns, np.empty((0, 7))) for i in instants], _statistics(seen, None, None, 1.0, 0.0)
+        )
+    tracks = Tracks.group(seen.tracks, seen.times_ns)
+    cameras = CameraTensors.from_cameras(list(rig.values()))
+
+    progress(0.0, "motion of the clusters of rays")
+    views = seen.seen.sum(axis=1)
+    cluster_sd = np.where(views >= config.min_views, _CLUSTER_SD_M, _RAY_SD_M)
+    motion = smooth(tracks, seen.positions, cluster_sd[:, None, None] ** 2 * np.eye(2))
+    yaw, yaw_sd = _headings(tracks, motion, len(seen))
+    prior_mean, prior_sd = LOG_SIZE_MEAN[seen.classes], LOG_SIZE_SD[seen.classes]
+
+    progress(0.1, f"fitting {len(seen)} vehicles one by one")
+    problem = _problem(seen, cameras, tracks, motion, prior_mean, prior_sd, yaw, 2 * yaw_sd)
+    known = np.isfinite(yaw_sd)
+    noise = _estimate_noise(problem, known, views, config.iterations)
+    problem = with_noise(problem, noise)
+    first = _first_fit(problem, known, config.iterations)
+    parameters, covariance = _solution(first, problem)
+
+    progress(0.5, "combining fits over tracks")
+    motion = smooth(tracks, parameters[:, :2], covariance[:, :2, :2])
+    yaw, yaw_sd = _headings(tracks, motion, len(seen))
+    standing = standing_headings(tracks, seen, parameters, covariance, yaw, yaw_sd, heading_hints or {})
+    never = ~np.isfinite(yaw_sd)
+    yaw, yaw_sd = np.where(never, standing.yaw_rad, yaw), np.where(never, standing.axis_sd_rad, yaw_sd)
+    information = size_information(first.information.numpy().astype(np.float64))
+    sizes, size_covariance = track_sizes(tracks, parameters[:, 2:5], information, prior_mean, prior_sd)
+    own_size = tracks.scatter(np.repeat(sizes[:, None], tracks.valid.shape[1], axis=1), prior_mean.copy())
+    size_sd = np.sqrt(np.diagonal(size_covariance, axis1=1, axis2=2))
+    own_size_sd = tracks.scatter(np.repeat(size_sd[:, None], tracks.valid.shape[1], axis=1), prior_sd.copy())
+
+    progress(0.6, "fitting again with one size and heading per track")
+    tight = np.full_like(own_size_sd, 0.01)
+    problem = with_noise(_problem(seen, cameras, tracks, motion, own_size, tight, yaw, yaw_sd), noise)
+    start = np.concatenate([parameters[:, :2], own_size, yaw[:, None]], axis=1)
+    second = fit(problem, torch.as_tensor(start[:, None], dtype=torch.float32), config.iterations)
+    parameters, covariance = _solution(second, problem)
+
+    progress(0.9, "smoothing")
+    motion = smooth(tracks, parameters[:, :2], covariance[:, :2, :2])
+    sd = np.sqrt(np.diagonal(covariance, axis1=1, axis2=2)).copy()
+    # smoothing averages errors out only as far as they change from one sighting to the next
+    lasting = persistence(tracks, seen, first)
+    smoothed_sd = np.sqrt(np.diagonal(motion.covariance, axis1=2, axis2=3)[..., :2] * (1 + lasting) / (1 - lasting))
+    sd[:, :2] = np.minimum(sd[:, :2], tracks.scatter(smoothed_sd, sd[:, :2].copy()))
+    sd[:, 2:5] = np.hypot(own_size_sd, _SIZE_FLOOR)
+    sd[:, YAW] = np.where(never, np.hypot(sd[:, YAW], standing.front_sd_rad), sd[:, YAW])
+    residual = _residuals(second, seen)
+    boxes = _boxes(parameters)
+    boxes[:, :2] = tracks.scatter(motion.position, boxes[:, :2].copy())
+    scores = confidence(residual, views, sd, boxes, config.max_residual)
+    certain = np.hypot(sd[:, 0], sd[:, 1]) <= _FEW_VIEWS_SD_M
+    keep = (residual <= config.max_residual) & ((views >= config.min_views) | certain)
+    vehicles = _by_instant(instants, seen, keep, boxes, _box_sd(sd, boxes), scores)
+    progress(1.0, "lifted")
+    return LiftResult(vehicles, _statistics(seen, residual, keep, noise, lasting))
+
+
+def _worth_fitting(seen: Observations, min_views: int) -> Observations:
+    """Vehicles in enough views, and sightings in fewer views of those seen so often enough; all in tracks."""
+    enough = (seen.seen.sum(axis=1) >= min_views) & (seen.tracks >= 0)
+    count = np.bincount(seen.tracks[enough], minlength=int(seen.tracks.max(initial=-1)) + 1)
+    known = (seen.tracks >= 0) & (count[seen.tracks] >= _SIGHTINGS_FOR_SIZE)
+    return seen.where(enough | known)
+
+
+def _headings(tracks: Tracks, motion: Motion, count: int) -> tuple[FloatArray, FloatArray]:
+    """Yaw (N,) by motion and its s.d., infinite where the vehicle never moves."""
+    found = headings(tracks, motion)
+    return tracks.scatter(found.yaw_rad, np.zeros(count)), tracks.scatter(found.sd_rad, np.full(count, np.inf))
+
+
+def _problem(
+    seen: Observations,
+    cameras: CameraTensors,
+    tracks: Tracks,
+    motion: Motion,
+    log_size: FloatArray,
+    log_size_sd: FloatArray,
+    yaw: FloatArray,
+    yaw_sd: FloatArray,
+) -> FitProblem:
+    def tensor(values: FloatArray) -> torch.Tensor:
+        return torch.as_tensor(values, dtype=torch.float32)
+
+    velocity = tracks.scatter(motion.velocity, np.zeros((len(seen), 2)))
+    none = np.zeros((len(seen), 2))
+    return FitProblem(
+        cameras=cameras[torch.as_tensor(seen.cameras)],
+        boxes=tensor(seen.boxes),
+        seen=torch.as_tensor(seen.seen),
+        exact=torch.as_tensor(seen.exact),
+        cut=torch.as_tensor(seen.cut),
+        shift=tensor(velocity[:, None] * seen.lateness_s[..., None]),
+        body=tensor(TEMPLATES[seen.classes]),
+        noise=torch.ones(len(seen)),
+        prior_mean=tensor(np.concatenate([seen.positions, log_size, yaw[:, None]], axis=1)),
+        prior_weight=tensor(np.concatenate([none, log_size_sd**-2.0, yaw_sd[:, None] ** -2.0], axis=1)),
+    )
+
+
+def _estimate_noise(problem: FitProblem, known: np.ndarray, views: FloatArray, iterations: int) -> float:
+    """How much worse than a good detector's the edges are, by fits of a sample of vehicles in several views."""
+    several = np.flatnonzero(views > 1)
+    sample = several[:: max(1, len(several) // _NOISE_SAMPLE)]
+    if not len(sample):
+        return _HIDDEN_NOISE
+    rows = torch.as_tensor(sample)
+    noise = 1.0
+    for _ in range(2):  # a wrong noise makes wrong fits; the second time it is nearly right
+        trial = with_noise(problem[rows], noise)
+        noise *= noise_of(trial, _first_fit(trial, known[sample], iterations))
+    return _HIDDEN_NOISE * noise
+
+
+def _first_fit(problem: FitProblem, known: np.ndarray, iterations: int) -> Fit:
+    """From the heading where motion gives one, else from several directions."""
+    base = problem.prior_mean
+    groups = [
+        (rows, starts)
+        for rows, turns in ((np.flatnonzero(known), 1), (np.flatnonzero(~known), _YAW_STARTS))
+        if len(rows)
+        for starts in (yaw_starts(base[torch.as_tensor(rows)], turns),)
+    ]
+    parts = [fit(problem[torch.as_tensor(rows)], starts, iterations) for rows, starts in groups]
+    order = torch.as_tensor(np.argsort(np.concatenate([rows for rows, _ in groups])))
+    return joined(parts)[order]
+
+
+def _solution(fitted: Fit, problem: FitProblem) -> tuple[FloatArray, FloatArray]:
+    """Parameters (N, 6) and covariances (N, 6, 6)."""
+    hessian = fitted.information + torch.diag_embed(problem.prior_weight)
+    covariance = np.asarray(np.linalg.inv(hessian.numpy().astype(np.float64) + 1e-4 * np.eye(6)), dtype=np.float64)
+    covariance[:, [0, 1], [0, 1]] += _POSITION_FLOOR_M**2
+    return fitted.parameters.numpy().astype(np.float64), covariance
+
+
+def _residuals(fitted: Fit, seen: Observations) -> FloatArray:
+    """(N,) mean over views of 1 − GIoU."""
+    loss = np.where(seen.seen, 1.0 - fitted.view_giou.numpy(), 0.0)
+    return np.asarray(loss.sum(axis=1) / seen.seen.sum(axis=1))
+
+
+def _boxes(parameters: FloatArray) -> FloatArray:
+    """(N, 7) boxes of (N, 6) parameters."""
+    size = np.exp(parameters[:, 2:5])
+    yaw = normalise_angle(parameters[:, YAW])
+    return np.concatenate([parameters[:, :2], size[:, 2:] / 2, size, yaw[:, None]], axis=1)
+
+
+def _box_sd(sd: FloatArray, boxes: FloatArray) -> FloatArray:
+    """(N, 7) s.d. of boxes from those of the parameters (N, 6)."""
+    size_sd = sd[:, 2:5] * boxes[:, 3:6]
+    return np.concatenate([sd[:, :2], size_sd[:, 2:] / 2, size_sd, sd[:, YAW:]], axis=1)
+
+
+def _by_instant(
+    instants: Sequence[AnnotatedInstant],
+    seen: Observations,
+    keep: np.ndarray,
+    boxes: FloatArray,
+    sd: FloatArray,
+    scores: FloatArray,
+) -> list[Vehicles3D]:
+    rows_of: list[list[int]] = [[] for _ in instants]
+    for row in np.flatnonzero(keep):
+        rows_of[seen.instants[row]].append(int(row))
+    return [
+        Vehicles3D.of(instant.time_ns, boxes[rows], seen.classes[rows], seen.tracks[rows], scores[rows], sd[rows])
+        for instant, rows in zip(instants, rows_of, strict=True)
+    ]
+
+
+def _statistics(
+    seen: Observations, residual: FloatArray | None, keep: np.ndarray | None, noise: float, lasting: float
+) -> dict[str, Any]:
+    if residual is None or keep is None:
+        return {"fits": 0, "kept": 0, "tracks": 0}
+    views = seen.seen.sum(axis=1)
+    return {
+        "fits": len(seen),
+        "kept": int(keep.sum()),
+        "kept_share": float(keep.mean()),
+        "tracks": len(np.unique(seen.tracks)),
+        "edge_noise": noise,
+        "edge_persistence": lasting,
+        "residual": {f"p{p}": float(np.percentile(residual, p)) for p in (10, 50, 90)},
+        "by_views": {
+            str(n): {"fits": int((views == n).sum()), "residual": float(np.median(residual[views == n]))}
+            for n in np.unique(views).tolist()
+        },
+    }

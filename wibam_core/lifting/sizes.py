@@ -1,0 +1,64 @@
+"""One size per vehicle: what all sightings of a track say together."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from wibam_core.lifting.trajectory import Tracks
+from wibam_core.scene import FloatArray
+
+_ROBUST_SD = 2.0
+_PASSES = 4
+#: Errors of one vehicle's sightings are alike (the body differs from the template in each of them, and detectors err
+#: for seconds in the same way), so that more sightings than this add nothing.
+_INDEPENDENT_SIGHTINGS = 4.0
+
+
+def size_information(information: FloatArray) -> FloatArray:
+    """(N, 3, 3) information on log sizes alone, of (N, 6, 6) on x, y, log sizes, yaw: position and yaw marginalised."""
+    sizes, others = [2, 3, 4], [0, 1, 5]
+    a = information[:, sizes][:, :, sizes]
+    b = information[:, sizes][:, :, others]
+    c = information[:, others][:, :, others] + 1e-6 * np.eye(3)
+    marginal = a - b @ np.linalg.solve(c, b.transpose(0, 2, 1))
+    marginal = 0.5 * (marginal + marginal.transpose(0, 2, 1))
+    values, vectors = np.linalg.eigh(marginal)
+    return np.asarray((vectors * np.maximum(values, 0.0)[:, None]) @ vectors.transpose(0, 2, 1))
+
+
+def track_sizes(
+    tracks: Tracks, log_sizes: FloatArray, information: FloatArray, prior_mean: FloatArray, prior_sd: FloatArray
+) -> tuple[FloatArray, FloatArray]:
+    """Combine sightings.
+
+    Args:
+        tracks: how the observations form tracks.
+        log_sizes: (N, 3) single fits, each made under the prior.
+        information: (N, 3, 3) of their views alone.
+        prior_mean: (N, 3) of log sizes, equal within a track.
+        prior_sd: (N, 3) of log sizes, equal within a track.
+
+    Returns:
+        (M, 3) log sizes of the tracks and (M, 3, 3) covariances.
+    """
+    precision = prior_sd[tracks.rows[:, 0]][:, :, None] ** -2.0 * np.eye(3) if len(tracks.rows) else np.empty((0, 3, 3))
+    mean = prior_mean[tracks.rows[:, 0]] if len(tracks.rows) else np.empty((0, 3))
+    own_prior = prior_sd[:, :, None] ** -2.0 * np.eye(3)
+    # a fit is (Λ s + Λ0 μ) / (Λ + Λ0): recover Λ s of the views alone
+    message = (((information + own_prior) @ log_sizes[..., None]) - own_prior @ prior_mean[..., None])[..., 0]
+    weight = tracks.valid.astype(np.float64)
+    lam, eta = information[tracks.rows], message[tracks.rows]
+    estimate = mean
+    covariance = np.asarray(np.linalg.inv(precision), dtype=np.float64)
+    single = log_sizes[tracks.rows]
+    spread = np.linalg.inv(lam + precision[:, None]) if len(tracks.rows) else lam
+    for _ in range(_PASSES):
+        share = weight * np.minimum(1.0, _INDEPENDENT_SIGHTINGS / np.maximum(weight.sum(axis=1, keepdims=True), 1e-9))
+        total = precision + np.einsum("mt,mtij->mij", share, lam)
+        covariance = np.asarray(np.linalg.inv(total), dtype=np.float64)
+        pull = (precision @ mean[..., None])[..., 0] + np.einsum("mt,mti->mi", share, eta)
+        estimate = (covariance @ pull[..., None])[..., 0]
+        off = single - estimate[:, None]
+        squared = np.einsum("mti,mtij,mtj->mt", off, np.linalg.inv(spread), off) / 3
+        weight = tracks.valid / (1 + squared / _ROBUST_SD**2)
+    return estimate, covariance

@@ -1,0 +1,1 @@
+"""Networks, decoders, weights and inference."""

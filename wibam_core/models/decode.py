@@ -1,0 +1,174 @@
+"""From output maps to boxes: differentiable, and the same code in losses and at inference.
+
+Maps have a pixel frame of their own: cell (x, y) is centred on input pixel ``(x + 0.5)·4 − 0.5``.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Literal
+
+import torch
+from torch import Tensor
+from torch.nn import functional
+
+from wibam_core.geometry.torch_ops import CameraTensors, rays
+from wibam_core.models.small import REFERENCE_FOCAL_PX, SmallOutputs
+from wibam_core.models.trunk import STRIDE
+
+Decode = Literal["plane", "depth"]
+
+#: Rays less steep than this (m down per m) are taken as this steep when they are met with a plane: a ray along
+#: the horizon meets it nowhere.
+_MIN_DESCENT = 0.02
+
+
+@dataclass(frozen=True)
+class PeakValues:
+    """What the heads say at N peaks, float64 but for the indices.
+
+    Attributes:
+        image: (N,) index in the batch. cells: (N, 2) x, y. classes: (N,).
+        box2d: (N, 4) raw, centre3d: (N, 2) raw, depth: (N,) log depth at the reference focal length,
+        size: (N, 3) log size against the class's mean, yaw: (N, 2) sin, cos, log_scale: (N, 4): as `SmallOutputs`.
+    """
+
+    image: Tensor
+    cells: Tensor
+    classes: Tensor
+    box2d: Tensor
+    centre3d: Tensor
+    depth: Tensor
+    size: Tensor
+    yaw: Tensor
+    log_scale: Tensor
+
+
+def gather(outputs: SmallOutputs, image: Tensor, cells: Tensor, classes: Tensor) -> PeakValues:
+    """Read the heads at cells (N, 2) x, y of the images (N,)."""
+
+    def at(values: Tensor) -> Tensor:
+        return values[image, :, cells[:, 1], cells[:, 0]].double()
+
+    return PeakValues(
+        image,
+        cells,
+        classes,
+        at(outputs.box2d),
+        at(outputs.centre3d),
+        at(outputs.depth)[:, 0],
+        at(outputs.size),
+        at(outputs.yaw),
+        at(outputs.log_scale),
+    )
+
+
+def cell_centres_px(cells: Tensor) -> Tensor:
+    """Input pixels (N, 2) of (possibly fractional) cells (N, 2)."""
+    return (cells + 0.5) * STRIDE - 0.5
+
+
+def cells_of_px(pixels: Tensor) -> Tensor:
+    """Fractional cells (N, 2) of input pixels (N, 2), the inverse of `cell_centres_px`."""
+    return (pixels + 0.5) / STRIDE - 0.5
+
+
+def boxes2d_px(values: PeakValues) -> Tensor:
+    """2D boxes (N, 4) xyxy, input px."""
+    centre = cell_centres_px(values.cells + values.box2d[:, :2])
+    half = values.box2d[:, 2:].clamp(max=6.0).exp() * (STRIDE / 2)
+    return torch.cat([centre - half, centre + half], dim=-1)
+
+
+def sizes_m(values: PeakValues, mean_sizes_m: Tensor) -> Tensor:
+    """(N, 3) length, width, height, m; at most e times off the class's mean."""
+    return mean_sizes_m.double()[values.classes] * values.size.clamp(-1.0, 1.0).exp()
+
+
+def boxes3d(values: PeakValues, cameras: CameraTensors, mean_sizes_m: Tensor, decode: Decode) -> Tensor:
+    """World boxes (N, 7) seen by the cameras (B,) of the batch at the network's input size.
+
+    ``plane``: the centre lies where the ray through the projected 3D centre meets the plane z = height / 2.
+    ``depth``: the centre lies on that ray at the regressed depth.
+    """
+    seen_by = cameras[values.image]
+    directions = rays(seen_by, centres3d_px(values))
+    sizes = sizes_m(values, mean_sizes_m)
+    if decode == "plane":
+        ground = _on_plane(seen_by, directions, sizes[:, 2] / 2)
+        position = torch.cat([ground, sizes[:, 2:] / 2], dim=-1)
+    else:
+        along_axis = (directions * seen_by.rotation[:, 2]).sum(dim=-1)
+        depth = values.depth.clamp(-2.0, 7.0).exp() * focal_px(seen_by) / REFERENCE_FOCAL_PX
+        position = seen_by.centre_m + directions * (depth / along_axis)[:, None]
+    yaw = azimuths_rad(directions) + torch.atan2(values.yaw[:, 0], values.yaw[:, 1])
+    return torch.cat([position, sizes, wrap_angle(yaw)[:, None]], dim=-1)
+
+
+def centres3d_px(values: PeakValues) -> Tensor:
+    """Projected 3D centres (N, 2), input px."""
+    return cell_centres_px(values.cells + values.centre3d)
+
+
+def focal_px(cameras: CameraTensors) -> Tensor:
+    """(N,) geometric means of the focal lengths."""
+    return torch.sqrt(cameras.K[:, 0, 0] * cameras.K[:, 1, 1])
+
+
+def _on_plane(cameras: CameraTensors, directions: Tensor, height_m: Tensor) -> Tensor:
+    """(N, 2) where rays (N, 3) meet the planes z = height_m (N,)."""
+    descent = torch.minimum(directions[:, 2], -_MIN_DESCENT * torch.linalg.norm(directions[:, :2], dim=-1))
+    reach = (height_m - cameras.centre_m[:, 2]) / descent
+    return cameras.centre_m[:, :2] + directions[:, :2] * reach[:, None]
+
+
+def azimuths_rad(rays: Tensor) -> Tensor:
+    """(N,) azimuth about world +Z of directions (N, 3)."""
+    return torch.atan2(rays[:, 1], rays[:, 0])
+
+
+def wrap_angle(angle_rad: Tensor) -> Tensor:
+    """Angles (...) wrapped to (−π, π]."""
+    return angle_rad - 2 * torch.pi * torch.ceil((angle_rad - torch.pi) / (2 * torch.pi)).detach()
+
+
+def standard_deviations(values: PeakValues, boxes: Tensor, cameras: CameraTensors) -> Tensor:
+    """(N, 7) standard deviations of boxes (N, 7) in m and rad, from the regressed scales.
+
+    The centre's follows from one standard deviation of the projected 3D centre, moved over the ground; a regressed
+    scale is a Laplace distribution's, whose standard deviation is √2 of it.
+    """
+    scale = values.log_scale.clamp(-6.0, 3.0).exp() * 2**0.5
+    size_sd = boxes[:, 3:6] * scale[:, 2:3]
+    seen_by = cameras[values.image]
+    pixels = centres3d_px(values)
+    variance = torch.zeros_like(pixels)
+    for axis in range(2):
+        step = torch.zeros_like(pixels)
+        step[:, axis] = scale[:, 0] * STRIDE / 2
+        low, high = (_on_plane(seen_by, rays(seen_by, pixels + sign * step), boxes[:, 2]) for sign in (-1.0, 1.0))
+        variance = variance + (high - low).square()
+    return torch.cat([variance.sqrt(), size_sd[:, 2:] / 2, size_sd, scale[:, 3:4].clamp(max=torch.pi)], dim=-1)
+
+
+@dataclass(frozen=True)
+class Peaks:
+    """Local maxima of the heat: image (N,), cells (N, 2) x, y, classes (N,), scores (N,); best first per image."""
+
+    image: Tensor
+    cells: Tensor
+    classes: Tensor
+    scores: Tensor
+
+
+def find_peaks(heat_logits: Tensor, min_score: float, top_k: int = 64) -> Peaks:
+    """Peaks of heat (B, C, H, W): 3x3 local maxima over all classes together, at most ``top_k`` per image."""
+    scores, classes = heat_logits.sigmoid().max(dim=1)
+    is_peak = (functional.max_pool2d(scores[:, None], 3, 1, 1)[:, 0] == scores) & (scores >= min_score)
+    flat = torch.where(is_peak, scores, scores.new_zeros(())).flatten(1)
+    best, where = flat.topk(min(top_k, flat.shape[1]), dim=1)
+    image, rank = (best > 0).nonzero(as_tuple=True)
+    index = where[image, rank]
+    width = scores.shape[2]
+    cells = torch.stack([index % width, index // width], dim=-1)
+    return Peaks(image, cells, classes.flatten(1)[image, index], best[image, rank])

@@ -1,0 +1,133 @@
+"""Run the small network over frames."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import Tensor
+
+from wibam_core.geometry.camera import Camera
+from wibam_core.geometry.torch_ops import CameraTensors
+from wibam_core.models.decode import Decode, boxes2d_px, boxes3d, find_peaks, gather, standard_deviations
+from wibam_core.models.small import INPUT_WIDTH_PX, SmallNetwork
+from wibam_core.models.trunk import INPUT_MULTIPLE
+from wibam_core.scene import Vehicles3D
+
+#: Of two peaks whose 2D boxes overlap more than this, the weaker is a duplicate.
+_DUPLICATE_IOU = 0.7
+
+
+@dataclass(frozen=True, eq=False)
+class Frame:
+    """One image to detect vehicles in.
+
+    Attributes:
+        image: (H, W, 3) uint8, BGR, any size.
+        camera: of any image size with the image's aspect ratio; resized to the image here.
+        camera_id: copied to the output. time_ns: copied to the output.
+    """
+
+    image: NDArray[np.uint8]
+    camera: Camera
+    camera_id: str
+    time_ns: int
+
+    def __post_init__(self) -> None:
+        if self.image.ndim != 3 or self.image.shape[2] != 3 or self.image.dtype != np.uint8:
+            raise ValueError(f"a frame needs (H, W, 3) uint8, got {self.image.shape} {self.image.dtype}")
+
+
+def content_height_px(width_px: int, height_px: int) -> int:
+    """Height of an image of the given size once it is resized to the network's input width."""
+    return max(1, round(height_px * INPUT_WIDTH_PX / width_px))
+
+
+def prepare_image(image: NDArray[np.uint8]) -> NDArray[np.uint8]:
+    """Resize (H, W, 3) to the input width and pad at the bottom, in black, to a multiple of 32 rows."""
+    height = content_height_px(image.shape[1], image.shape[0])
+    if image.shape[:2] != (height, INPUT_WIDTH_PX):
+        shrinks = image.shape[1] > INPUT_WIDTH_PX
+        interpolation = cv2.INTER_AREA if shrinks else cv2.INTER_LINEAR
+        image = np.asarray(cv2.resize(image, (INPUT_WIDTH_PX, height), interpolation=interpolation), dtype=np.uint8)
+    padding = -height % INPUT_MULTIPLE
+    return np.pad(image, ((0, padding), (0, 0), (0, 0))) if padding else image
+
+
+def prepare_camera(camera: Camera) -> Camera:
+    """The camera of the prepared image (its size is the content's, without the padding)."""
+    return camera.resized(INPUT_WIDTH_PX, content_height_px(camera.width_px, camera.height_px))
+
+
+def to_input(images: NDArray[np.uint8]) -> Tensor:
+    """Prepared images (B, H, W, 3) uint8 to the network's input (B, 3, H, W) float32 in 0..1."""
+    batch = torch.from_numpy(np.ascontiguousarray(images)).permute(0, 3, 1, 2)
+    return batch.to(torch.float32).div_(255.0).contiguous(memory_format=torch.channels_last)
+
+
+def predict(
+    network: SmallNetwork, frames: Iterable[Frame], *, decode: Decode, min_score: float, batch_size: int = 8
+) -> Iterator[Vehicles3D]:
+    """Detect vehicles: one `Vehicles3D` in the world per frame, in the frames' order.
+
+    Args:
+        network: put into evaluation mode while it runs.
+        frames: consumed as needed, at most ``batch_size`` in memory.
+        decode: how boxes are placed along the ray, see `wibam_core.models.decode.boxes3d`.
+        min_score: peaks below it are left out.
+        batch_size: images per pass; images of one batch have equal prepared sizes.
+    """
+    batch: list[Frame] = []
+    images: list[NDArray[np.uint8]] = []
+    for frame in frames:
+        image = prepare_image(frame.image)
+        if batch and (len(batch) == batch_size or image.shape != images[0].shape):
+            yield from _predict_batch(network, batch, images, decode, min_score)
+            batch, images = [], []
+        batch.append(frame)
+        images.append(image)
+    if batch:
+        yield from _predict_batch(network, batch, images, decode, min_score)
+
+
+def _predict_batch(
+    network: SmallNetwork, frames: list[Frame], images: list[NDArray[np.uint8]], decode: Decode, min_score: float
+) -> Iterator[Vehicles3D]:
+    cameras = CameraTensors.from_cameras([prepare_camera(frame.camera) for frame in frames], torch.float64)
+    network.eval()
+    with torch.inference_mode():
+        outputs = network(to_input(np.stack(images)))
+        peaks = find_peaks(outputs.heat, min_score)
+        values = gather(outputs, peaks.image, peaks.cells, peaks.classes)
+        boxes = boxes3d(values, cameras, network.mean_sizes_m, decode)
+        sd = standard_deviations(values, boxes, cameras).numpy()
+        boxes2d = boxes2d_px(values).numpy()
+    image, scores = peaks.image.numpy(), peaks.scores.double().numpy()
+    for index, frame in enumerate(frames):
+        mine = np.flatnonzero(image == index)
+        mine = mine[_distinct(boxes2d[mine])]
+        yield Vehicles3D.of(
+            frame.time_ns,
+            boxes.numpy()[mine],
+            classes=peaks.classes.numpy()[mine],
+            scores=scores[mine],
+            sd=sd[mine],
+            camera_id=frame.camera_id,
+        )
+
+
+def _distinct(boxes: NDArray[np.float64]) -> NDArray[np.int64]:
+    """Indices of xyxy boxes (N, 4), best first, that overlap no better one by more than `_DUPLICATE_IOU`."""
+    kept: list[int] = []
+    areas = np.prod(boxes[:, 2:] - boxes[:, :2], axis=1)
+    for index, box in enumerate(boxes):
+        others = boxes[kept]
+        sides = np.clip(np.minimum(box[2:], others[:, 2:]) - np.maximum(box[:2], others[:, :2]), 0, None)
+        overlap = sides.prod(axis=1)
+        if not (overlap > _DUPLICATE_IOU * (areas[index] + areas[kept] - overlap)).any():
+            kept.append(index)
+    return np.array(kept, dtype=np.int64)

@@ -1,0 +1,1 @@
+"""Learning: targets, losses, augmentation, pre-training and fine-tuning."""

@@ -1,0 +1,192 @@
+"""The frames of a site with what their 2D boxes and the fits to all views say about the vehicles in them."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from wibam_core.formats.framestore import FrameStore
+from wibam_core.geometry.camera import Camera
+from wibam_core.models.inference import prepare_camera, prepare_image
+from wibam_core.models.small import INPUT_WIDTH_PX
+from wibam_core.models.trunk import INPUT_MULTIPLE
+from wibam_core.scene import AnnotatedInstant, CameraRig, Detections2D, MultiViewVehicle, Vehicles3D
+from wibam_core.training.views import FloatArray, LabelledView
+
+#: Labels whose heading is less certain than this do not tell front from rear.
+_FRONT_SD_RAD = 1.0
+
+#: A track's velocity is taken from instants at most this far apart.
+_VELOCITY_SPAN_NS = 2_000_000_000
+
+_NO_IMAGE = np.zeros((0, 0, 3), np.uint8)
+
+
+@dataclass(frozen=True, eq=False)
+class SiteView:
+    """One camera's frame of one instant.
+
+    Attributes:
+        camera_id, time_ns: which frame.
+        labels: for the network's input size; without the image. 3D boxes are where the vehicles are when the frame
+            is exposed, which is a little before or after the instant.
+        other_vehicle: (P,) vehicles of ``labels`` that other cameras see too, once per such camera.
+        other_camera: (P,) number of that camera in the rig.
+        other_boxes: (P, 4) the vehicle's 2D box there, px of that camera's input.
+    """
+
+    camera_id: str
+    time_ns: int
+    labels: LabelledView
+    other_vehicle: NDArray[np.int64]
+    other_camera: NDArray[np.int64]
+    other_boxes: FloatArray
+
+
+def site_views(
+    instants: Sequence[AnnotatedInstant],
+    frames: FrameStore,
+    lifts: Sequence[Vehicles3D],
+    rig: CameraRig,
+    left_out_tracks: frozenset[int] = frozenset(),
+) -> list[SiteView]:
+    """Every frame of the instants, in order of time, then of the rig.
+
+    Args:
+        instants: associated 2D boxes, px of the recording.
+        frames: tells which frames exist.
+        lifts: fits in the world; ``ids`` are track ids, ``scores`` confidences.
+        rig: cameras, of the recording's pixels.
+        left_out_tracks: vehicles that teach the heat and their 2D boxes alone.
+    """
+    prepared = {camera_id: prepare_camera(camera) for camera_id, camera in rig.items()}
+    fits = _Fits(lifts)
+    views: list[SiteView] = []
+    for instant in sorted(instants, key=lambda one: one.time_ns):
+        vehicles = [v for v in instant.vehicles if v.track_id not in left_out_tracks]
+        boxes = {
+            camera_id: _resize(seen.boxes, rig[camera_id], prepared[camera_id])
+            for camera_id, seen in instant.detections.items()
+            if camera_id in rig
+        }
+        for camera_id in rig:
+            if camera_id in boxes and frames.has(camera_id, instant.time_ns):
+                seen = instant.detections[camera_id]
+                labels = LabelledView(
+                    image=_NO_IMAGE,
+                    camera=prepared[camera_id],
+                    boxes2d=boxes[camera_id],
+                    classes=seen.classes,
+                    **_labels3d(seen, vehicles, fits, instant.time_ns),
+                    ignored=np.zeros((0, 4)),
+                )
+                others = _others(camera_id, vehicles, boxes, tuple(rig))
+                views.append(SiteView(camera_id, instant.time_ns, labels, *others))
+    return views
+
+
+def _resize(boxes: FloatArray, camera: Camera, prepared: Camera) -> FloatArray:
+    scale = np.array([prepared.width_px / camera.width_px, prepared.height_px / camera.height_px] * 2)
+    return np.asarray((boxes + 0.5) * scale - 0.5)
+
+
+def _labels3d(
+    seen: Detections2D, vehicles: Sequence[MultiViewVehicle], fits: _Fits, time_ns: int
+) -> dict[str, NDArray]:
+    boxes3d = np.full((len(seen), 7), np.nan)
+    confidence = np.zeros(len(seen))
+    front_known = np.ones(len(seen), bool)
+    for vehicle in vehicles:
+        row = vehicle.views.get(seen.camera_id)
+        fit = fits.find(vehicle.track_id, time_ns)
+        if row is None or fit is None:
+            continue
+        boxes3d[row] = fit.box
+        boxes3d[row, :2] += fits.velocity_mps(vehicle.track_id, time_ns) * (seen.frame_time_ns - time_ns) * 1e-9
+        confidence[row] = fit.confidence
+        front_known[row] = not fit.yaw_sd_rad > _FRONT_SD_RAD
+    return {"boxes3d": boxes3d, "confidence": confidence, "front_known": front_known}
+
+
+def _others(
+    camera_id: str, vehicles: Sequence[MultiViewVehicle], boxes: Mapping[str, FloatArray], cameras: tuple[str, ...]
+) -> tuple[NDArray[np.int64], NDArray[np.int64], FloatArray]:
+    """Vehicle, camera number and box of every pair of a vehicle in this view and another camera that sees it."""
+    pairs = [
+        (vehicle.views[camera_id], cameras.index(other), boxes[other][row])
+        for vehicle in vehicles
+        if camera_id in vehicle.views
+        for other, row in vehicle.views.items()
+        if other != camera_id and other in boxes
+    ]
+    return (
+        np.array([pair[0] for pair in pairs], dtype=np.int64),
+        np.array([pair[1] for pair in pairs], dtype=np.int64),
+        np.array([pair[2] for pair in pairs], dtype=np.float64).reshape(-1, 4),
+    )
+
+
+@dataclass(frozen=True, eq=False)
+class _Fit:
+    box: FloatArray
+    confidence: float
+    yaw_sd_rad: float
+
+
+class _Fits:
+    """Fits by track and instant."""
+
+    def __init__(self, lifts: Sequence[Vehicles3D]) -> None:
+        self._tracks: dict[int, dict[int, _Fit]] = {}
+        for vehicles in sorted(lifts, key=lambda one: one.time_ns):
+            for row, track in enumerate(vehicles.ids.tolist()):
+                fit = _Fit(vehicles.boxes[row], float(vehicles.scores[row]), float(vehicles.sd[row, 6]))
+                self._tracks.setdefault(track, {})[vehicles.time_ns] = fit
+
+    def find(self, track: int, time_ns: int) -> _Fit | None:
+        return self._tracks.get(track, {}).get(time_ns)
+
+    def velocity_mps(self, track: int, time_ns: int) -> FloatArray:
+        """(2,) between the track's fits before and after the instant; 0 where it has no neighbour in time."""
+        times = np.array(list(self._tracks[track]), dtype=np.int64)
+        near = np.flatnonzero(np.abs(times - time_ns) <= _VELOCITY_SPAN_NS / 2)
+        here = int(np.searchsorted(times, time_ns))
+        first, last = max(near[0], here - 1), min(near[-1], here + 1)
+        if first == last:
+            return np.zeros(2)
+        fits = self._tracks[track]
+        moved = fits[int(times[last])].box[:2] - fits[int(times[first])].box[:2]
+        return np.asarray(moved / ((times[last] - times[first]) * 1e-9))
+
+
+class ImageCache:
+    """The prepared images of views in a file, each decoded when it is first asked for, so that memory stays flat.
+
+    Args:
+        path: made anew.
+        views: in the order in which images are asked for by number.
+        frames: holds the images.
+    """
+
+    def __init__(self, path: Path, views: Sequence[SiteView], frames: FrameStore) -> None:
+        self._views = views
+        self._frames = frames
+        height = max((view.labels.camera.height_px for view in views), default=INPUT_MULTIPLE)
+        height += -height % INPUT_MULTIPLE
+        shape = (len(views), height, INPUT_WIDTH_PX, 3)
+        self._images = np.lib.format.open_memmap(path, mode="w+", dtype=np.uint8, shape=shape) if len(views) else None
+        self._ready = np.zeros(len(views), bool)
+
+    def view(self, number: int) -> LabelledView:
+        """The labelled view of this number, with its image (H, W, 3); H is the same for all."""
+        assert self._images is not None
+        view = self._views[number]
+        if not self._ready[number]:
+            image = prepare_image(self._frames.image(view.camera_id, view.time_ns))
+            self._images[number, : len(image)] = image
+            self._ready[number] = True
+        return replace(view.labels, image=np.array(self._images[number]))

@@ -1,0 +1,167 @@
+"""Make the bundled monocular network: pre-training on street-level views alone.
+
+    python -m wibam_core.training.pretrain --out build/pretrain --steps 4500
+
+Street-level images are turned by virtual rotations and zooms of their cameras, so that the network meets pitched
+cameras without ever seeing an elevated one. Elevated views are only ever measured on, never learned from or chosen by.
+"""
+
+from __future__ import annotations
+
+import argparse
+import time
+from collections.abc import Iterator
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from wibam_core.models.decode import Decode
+from wibam_core.models.inference import Frame, predict, to_input
+from wibam_core.models.small import SmallNetwork
+from wibam_core.models.weights import load_network, save_network
+from wibam_core.synthetic.sampling import RenderedView
+from wibam_core.training.augment import compress, cut_out, jitter_colour, mirror, rewarp, turn_camera
+from wibam_core.training.losses import LossWeights, lifted_loss
+from wibam_core.training.pretraining import (
+    PoolPlan,
+    Schedule,
+    ViewPool,
+    append_log,
+    labelled,
+    plain_camera,
+    pretrain,
+    render,
+)
+from wibam_core.training.targets import encode
+from wibam_core.training.validation import ViewResult, measure
+from wibam_core.training.views import LabelledView
+
+WIDTH_PX, HEIGHT_PX = 512, 288
+RENDERED_PX = (544, 384)
+
+TRAINING_SEED = 100_000
+VALIDATION_SEED = 300_000
+SITE_REPORT_SEED = 400_000
+
+#: Ground corners under plane decoding mean nothing from 1.6 m up, where rays graze the ground.
+WEIGHTS = LossWeights(corners=0.0)
+
+_REPORT_RANGE_M = 40.0
+_MIN_SCORE = 0.3
+
+
+def augmented(pool: ViewPool, rng: np.random.Generator) -> LabelledView:
+    """A random view through a random virtual camera, flipped, recoloured, cut out and compressed."""
+    view = virtual_view(pool.draw(rng), rng)
+    if rng.random() < 0.5:
+        view = mirror(view)
+    image = cut_out(jitter_colour(view.image, rng), rng)
+    return replace(view, image=compress(image, rng) if rng.random() < 0.3 else image)
+
+
+def virtual_view(view: LabelledView, rng: np.random.Generator) -> LabelledView:
+    """The view turned down as far as a randomly chosen vehicle stays in the image, zoomed and rolled a little."""
+    camera = plain_camera(view.camera, WIDTH_PX, HEIGHT_PX, float(np.exp(rng.uniform(np.log(0.7), np.log(1.45)))))
+    down = left = 0.0
+    if len(view.classes):
+        box = view.boxes2d[rng.integers(len(view.classes))]
+        ray = view.camera.undistort((box[:2] + box[2:]) / 2)
+        half = np.arctan(HEIGHT_PX / 2 / camera.K[1, 1])
+        if rng.random() < 0.75:
+            down = float(rng.uniform(-0.03, max(np.arctan(ray[1]) + 0.92 * half, 0.0)))
+        else:
+            down = float(rng.normal(0.0, 0.03))
+        left = float(-np.arctan(ray[0]) * rng.uniform(0.0, 0.8) * (rng.random() < 0.5) + rng.normal(0.0, 0.05))
+    turned = turn_camera(camera, down, left, float(rng.normal(0.0, 0.03)))
+    fill = rng.integers(0, 256, 3)
+    return rewarp(view, replace(camera, T_world_cam=turned), (int(fill[0]), int(fill[1]), int(fill[2])))
+
+
+def losses(network: SmallNetwork, views: list[LabelledView]) -> dict[str, Tensor]:
+    """Parts and total for a batch, in mixed precision."""
+    images = to_input(np.stack([view.image for view in views]))
+    with torch.autocast("cpu", dtype=torch.bfloat16):
+        outputs = network(images)
+    return lifted_loss(outputs, encode(views), network.mean_sizes_m, WEIGHTS)
+
+
+def measure_views(network: SmallNetwork, views: list[RenderedView], decode: Decode) -> dict[str, float]:
+    """Figures within 40 m on rendered views."""
+    frames = (Frame(view.image, view.camera, str(index), index) for index, view in enumerate(views))
+
+    def results() -> Iterator[ViewResult]:
+        for view, predicted in zip(views, predict(network, frames, decode=decode, min_score=_MIN_SCORE), strict=True):
+            taught = labelled(view)
+            centre = view.camera.centre_m[:2]
+
+            def within(boxes: np.ndarray, limit: float, centre: np.ndarray = centre) -> np.ndarray:
+                return boxes[np.linalg.norm(boxes[:, :2] - centre, axis=1) <= limit]
+
+            wanted = within(taught.boxes3d, _REPORT_RANGE_M)
+            yield ViewResult(within(predicted.boxes, _REPORT_RANGE_M), wanted, view.vehicles.boxes)
+
+    return {name: round(value, 4) for name, value in measure(results()).items()}
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description="Pre-train the bundled monocular network on street-level views.")
+    parser.add_argument("--out", type=Path, default=Path("build/pretrain"), help="folder for weights and log")
+    parser.add_argument("--steps", type=int, default=4500)
+    parser.add_argument("--images", type=int, default=3000)
+    parser.add_argument("--shard", type=int, default=200)
+    parser.add_argument("--learning-rate", type=float, default=2e-3)
+    parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument("--threads", type=int, default=1)
+    parser.add_argument("--views", type=int, default=80, help="views that are measured on, of each kind")
+    parser.add_argument("--start", type=Path, help="weights to go on from; with --steps 0 they are only measured")
+    arguments = parser.parse_args()
+    torch.set_num_threads(arguments.threads)
+    torch.manual_seed(arguments.seed)
+    arguments.out.mkdir(parents=True, exist_ok=True)
+    network = load_network(arguments.start) if arguments.start else SmallNetwork()
+    validation = render(VALIDATION_SEED, "ego", arguments.views, (WIDTH_PX, HEIGHT_PX))
+    site = render(SITE_REPORT_SEED, "site", arguments.views, (WIDTH_PX, HEIGHT_PX))
+    shards = -(-arguments.images // arguments.shard)
+    plan = PoolPlan(
+        TRAINING_SEED + arguments.seed,
+        "ego",
+        arguments.images,
+        arguments.shard,
+        max(1, int(0.6 * arguments.steps) // shards),
+        RENDERED_PX,
+    )
+
+    def figures(averaged: SmallNetwork) -> dict[str, Any]:
+        return {
+            "ego_depth": measure_views(averaged, validation, "depth"),
+            "site_plane": measure_views(averaged, site, "plane"),
+            "site_depth": measure_views(averaged, site, "depth"),
+        }
+
+    def checkpoint(averaged: SmallNetwork, step: int) -> dict[str, Any]:
+        save_network(averaged, arguments.out / "mono_small.safetensors")
+        return figures(averaged)
+
+    log_path = arguments.out / "log.jsonl"
+    if arguments.steps == 0:
+        append_log(log_path, figures(network))
+        return
+    pretrain(
+        network,
+        ViewPool(plan),
+        Schedule(arguments.steps, 8, arguments.learning_rate, 50, 500),
+        augmented,
+        losses,
+        checkpoint,
+        log_path,
+        time.monotonic,
+        arguments.seed,
+    )
+
+
+if __name__ == "__main__":
+    main()

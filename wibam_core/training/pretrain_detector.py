@@ -1,0 +1,151 @@
+"""Make the bundled 2D detector: training on elevated views of other simulated sites, 2D boxes alone.
+
+python -m wibam_core.training.pretrain_detector --out build/pretrain_detector --steps 3000
+"""
+
+from __future__ import annotations
+
+import argparse
+import time
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from wibam_core.geometry.iou import image_iou
+from wibam_core.geometry.torch_ops import giou
+from wibam_core.models.detector2d import Detector2D
+from wibam_core.models.export import export_detector2d
+from wibam_core.models.inference import to_input
+from wibam_core.models.trunk import STRIDE
+from wibam_core.synthetic.sampling import RenderedView
+from wibam_core.training.augment import compress, cut_out, jitter_colour, mirror, rewarp
+from wibam_core.training.losses import focal_loss
+from wibam_core.training.pretraining import PoolPlan, Schedule, ViewPool, labelled, plain_camera, pretrain, render
+from wibam_core.training.targets import encode
+from wibam_core.training.views import FloatArray, LabelledView
+
+WIDTH_PX, HEIGHT_PX = 512, 288
+RENDERED_PX = (544, 306)
+
+TRAINING_SEED = 200_000
+VALIDATION_SEED = 310_000
+
+_BOX_WEIGHT = 2.0
+_MIN_SCORE = 0.3
+_MATCH_IOU = 0.5
+
+
+def augmented(pool: ViewPool, rng: np.random.Generator) -> LabelledView:
+    """A random view zoomed, shifted, flipped, recoloured, cut out and compressed.
+
+    The camera is not turned: boxes around warped boxes would be looser than boxes around warped vehicles.
+    """
+    view = pool.draw(rng)
+    camera = plain_camera(view.camera, WIDTH_PX, HEIGHT_PX, float(np.exp(rng.uniform(np.log(0.8), np.log(1.6)))))
+    shift = np.zeros((3, 3))
+    shift[:2, 2] = rng.normal(0.0, [0.08 * WIDTH_PX, 0.08 * HEIGHT_PX])
+    fill = rng.integers(0, 256, 3)
+    view = rewarp(view, replace(camera, K=camera.K + shift), (int(fill[0]), int(fill[1]), int(fill[2])))
+    if rng.random() < 0.5:
+        view = mirror(view)
+    image = cut_out(jitter_colour(view.image, rng), rng)
+    return replace(view, image=compress(image, rng) if rng.random() < 0.3 else image)
+
+
+def losses(network: Detector2D, views: list[LabelledView]) -> dict[str, Tensor]:
+    """Focal loss of the heat and 1 − GIoU of the boxes at taught cells."""
+    targets = encode(views)
+    with torch.autocast("cpu", dtype=torch.bfloat16):
+        logits, log_ltrb = network(to_input(np.stack([view.image for view in views])))
+    heat = focal_loss(logits, targets.heat, targets.judged)
+    distances = log_ltrb[targets.image, :, targets.cells[:, 1], targets.cells[:, 0]].clamp(-3.0, 5.0).exp()
+    predicted = torch.cat([-distances[:, :2], distances[:, 2:]], dim=1)
+    half = targets.box2d[:, 2:].exp() / 2
+    wanted = torch.cat([targets.box2d[:, :2] - half, targets.box2d[:, :2] + half], dim=1)
+    boxes = _BOX_WEIGHT * (1 - giou(predicted, wanted)).sum() / max(len(wanted), 1)
+    return {"heat": heat, "boxes": boxes, "total": heat + boxes}
+
+
+def detect(network: Detector2D, image: np.ndarray) -> FloatArray:
+    """Boxes (N, 4) xyxy of one image of the input's size, without suppression of duplicates."""
+    with torch.inference_mode():
+        logits, log_ltrb = network(to_input(image[None]))
+        heat = logits.sigmoid().amax(dim=1)
+        peak = (torch.nn.functional.max_pool2d(heat[:, None], 3, 1, 1)[:, 0] == heat) & (heat >= _MIN_SCORE)
+        _, y, x = peak.nonzero(as_tuple=True)
+        distances = log_ltrb[0, :, y, x].T.clamp(-3.0, 5.0).exp() * STRIDE
+    centre = (torch.stack([x, y], dim=1) + 0.5) * STRIDE - 0.5
+    return torch.cat([centre - distances[:, :2], centre + distances[:, 2:]], dim=1).double().numpy()
+
+
+def measure_views(network: Detector2D, views: list[RenderedView]) -> dict[str, float]:
+    """Recall and precision at IoU 0.5 and score 0.3, and the mean IoU of matches."""
+    network.eval()
+    wanted = found = matched = 0
+    overlaps: list[float] = []
+    for view in views:
+        taught = labelled(view)
+        predicted = detect(network, view.image)
+        overlap = image_iou(predicted, taught.boxes2d)
+        best = overlap.max(axis=0, initial=0.0)
+        optional = image_iou(predicted, view.visible_boxes).max(axis=1, initial=0.0) >= 0.3
+        hit = overlap.max(axis=1, initial=0.0) >= _MATCH_IOU
+        wanted += len(best)
+        matched += int((best >= _MATCH_IOU).sum())
+        found += int((hit | ~optional).sum())
+        overlaps += best[best >= _MATCH_IOU].tolist()
+    return {
+        "recall": round(matched / max(wanted, 1), 4),
+        "precision": round(matched / max(found, 1), 4),
+        "mean_iou": round(float(np.mean(overlaps)) if overlaps else 0.0, 4),
+        "vehicles": wanted,
+    }
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description="Train the bundled 2D detector on simulated elevated views.")
+    parser.add_argument("--out", type=Path, default=Path("build/pretrain_detector"), help="folder for weights and log")
+    parser.add_argument("--steps", type=int, default=3000)
+    parser.add_argument("--images", type=int, default=1200)
+    parser.add_argument("--shard", type=int, default=200)
+    parser.add_argument("--learning-rate", type=float, default=2e-3)
+    parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument("--threads", type=int, default=1)
+    arguments = parser.parse_args()
+    torch.set_num_threads(arguments.threads)
+    torch.manual_seed(arguments.seed)
+    arguments.out.mkdir(parents=True, exist_ok=True)
+    validation = render(VALIDATION_SEED, "elevated", 80, (WIDTH_PX, HEIGHT_PX))
+    shards = -(-arguments.images // arguments.shard)
+    plan = PoolPlan(
+        TRAINING_SEED + arguments.seed,
+        "elevated",
+        arguments.images,
+        arguments.shard,
+        max(1, int(0.6 * arguments.steps) // shards),
+        RENDERED_PX,
+    )
+
+    def checkpoint(averaged: Detector2D, step: int) -> dict[str, Any]:
+        export_detector2d(averaged, arguments.out / "detector2d.onnx")
+        return {"elevated": measure_views(averaged, validation)}
+
+    pretrain(
+        Detector2D(),
+        ViewPool(plan),
+        Schedule(arguments.steps, 8, arguments.learning_rate, 50, 500),
+        augmented,
+        losses,
+        checkpoint,
+        arguments.out / "log.jsonl",
+        time.monotonic,
+        arguments.seed,
+    )
+
+
+if __name__ == "__main__":
+    main()

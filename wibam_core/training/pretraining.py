@@ -1,0 +1,206 @@
+"""What both pre-training scripts share: a pool of rendered views, a schedule, averaged weights, and a log."""
+
+from __future__ import annotations
+
+import copy
+import json
+import math
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any, Generic, TypeVar
+
+import cv2
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import Tensor, nn
+
+from wibam_core.errors import NonFiniteLoss
+from wibam_core.geometry.camera import Camera
+from wibam_core.scene import Vehicles3D
+from wibam_core.synthetic.sampling import Regime, RenderedView, sample_views
+from wibam_core.training.views import LabelledView
+
+#: Vehicles less visible or smaller than this are ignored: neither taught nor punished.
+_MIN_VISIBILITY = 0.25
+_MIN_SIDE_PX = 6.0
+
+_JPEG_QUALITY = 95
+_VIEWS_PER_SITE = 20
+
+#: One in this many views without a vehicle is kept.
+_KEPT_EMPTY = 5
+_WARM_UP_STEPS = 200
+_GRADIENT_CLIP = 5.0
+
+_NO_IMAGE = np.zeros((0, 0, 3), np.uint8)
+
+Network = TypeVar("Network", bound=nn.Module)
+
+
+def labelled(rendered: RenderedView) -> LabelledView:
+    """A rendered view with its truth as labels."""
+    boxes = rendered.visible_boxes
+    side = (boxes[:, 2:] - boxes[:, :2]).min(axis=1, initial=np.inf)
+    taught = (rendered.visibility >= _MIN_VISIBILITY) & (side >= _MIN_SIDE_PX)
+    seen = (rendered.visibility > 0) & ~taught
+    vehicles: Vehicles3D = rendered.vehicles
+    return LabelledView(
+        rendered.image,
+        rendered.camera,
+        boxes[taught],
+        vehicles.classes[taught],
+        vehicles.boxes[taught],
+        np.ones(int(taught.sum())),
+        np.ones(int(taught.sum()), bool),
+        boxes[seen],
+    )
+
+
+def render(seed: int, regime: Regime, count: int, size_px: tuple[int, int]) -> list[RenderedView]:
+    """Views of several sites, numbered from ``seed``."""
+    views: list[RenderedView] = []
+    while len(views) < count:
+        number = min(_VIEWS_PER_SITE, count - len(views))
+        views += sample_views(seed + len(views), regime, number, size_px=size_px)
+    return views
+
+
+@dataclass(frozen=True)
+class PoolPlan:
+    """Which views to render, and when: ``shard`` views every ``steps_per_shard`` steps, up to ``images``."""
+
+    seed: int
+    regime: Regime
+    images: int
+    shard: int
+    steps_per_shard: int
+    size_px: tuple[int, int]
+
+
+class ViewPool:
+    """Rendered views, kept as JPEG. Grows while training runs, so that training starts at once and stays seeded."""
+
+    def __init__(self, plan: PoolPlan) -> None:
+        self._plan = plan
+        self._views: list[tuple[NDArray[np.uint8], LabelledView]] = []
+        self._rendered = 0
+
+    def __len__(self) -> int:
+        return len(self._views)
+
+    def grow(self, step: int) -> None:
+        """Render the shards due at ``step``."""
+        due = min(self._plan.images, (step // self._plan.steps_per_shard + 1) * self._plan.shard)
+        while self._rendered < due:
+            count = min(_VIEWS_PER_SITE, due - self._rendered)
+            views = map(
+                labelled, render(self._plan.seed + self._rendered, self._plan.regime, count, self._plan.size_px)
+            )
+            for index, view in enumerate(views):
+                if len(view.classes) or index % _KEPT_EMPTY == 0:
+                    _, data = cv2.imencode(".jpg", view.image, [cv2.IMWRITE_JPEG_QUALITY, _JPEG_QUALITY])
+                    self._views.append((np.asarray(data, dtype=np.uint8), replace(view, image=_NO_IMAGE)))
+            self._rendered += count
+
+    def draw(self, rng: np.random.Generator) -> LabelledView:
+        """A random view."""
+        data, view = self._views[int(rng.integers(len(self._views)))]
+        return replace(view, image=np.asarray(cv2.imdecode(data, cv2.IMREAD_COLOR), dtype=np.uint8))
+
+
+def plain_camera(camera: Camera, width_px: int, height_px: int, zoom: float) -> Camera:
+    """A distortion-free camera at the same pose whose focal length, in image widths, is ``zoom`` times as long."""
+    focal = camera.K[0, 0] * width_px / camera.width_px * zoom
+    K = np.array([[focal, 0, (width_px - 1) / 2], [0, focal, (height_px - 1) / 2], [0, 0, 1]])
+    return Camera(K, np.zeros(0), camera.T_world_cam, width_px, height_px)
+
+
+class AveragedWeights(Generic[Network]):
+    """An exponential moving average of a network's parameters and statistics."""
+
+    def __init__(self, network: Network, decay: float) -> None:
+        self.network = copy.deepcopy(network).eval()
+        self._decay = decay
+        self._updates = 0
+
+    def update(self, network: nn.Module) -> None:
+        self._updates += 1
+        weight = 1 - min(self._decay, self._updates / (self._updates + 10))
+        averaged, current = self.network.state_dict(), network.state_dict()
+        for name, value in averaged.items():
+            if value.dtype.is_floating_point:
+                value.lerp_(current[name], weight)
+            else:
+                value.copy_(current[name])
+
+
+@dataclass(frozen=True)
+class Schedule:
+    """AdamW with a short linear rise and a cosine fall to 1 % over ``steps``."""
+
+    steps: int
+    batch_size: int
+    learning_rate: float
+    log_every: int
+    checkpoint_every: int
+
+    def rate(self, step: int) -> float:
+        rise = min(1.0, (step + 1) / min(_WARM_UP_STEPS, max(self.steps // 10, 1)))
+        fall = 0.5 * (1 + math.cos(math.pi * step / self.steps))
+        return self.learning_rate * rise * (0.01 + 0.99 * fall)
+
+
+def pretrain(
+    network: Network,
+    pool: ViewPool,
+    schedule: Schedule,
+    draw: Callable[[ViewPool, np.random.Generator], LabelledView],
+    losses: Callable[[Network, list[LabelledView]], dict[str, Tensor]],
+    checkpoint: Callable[[Network, int], dict[str, Any]],
+    log_path: Path,
+    clock: Callable[[], float],
+    seed: int,
+) -> Network:
+    """Train, and return the averaged network.
+
+    ``draw`` gives a view from the pool, augmented; ``losses`` the parts and ``total`` for a batch of views;
+    ``checkpoint`` saves and measures the averaged network, and its figures go to the log, one JSON object per line.
+    ``clock`` gives seconds from any origin, for the log.
+    """
+    rng = np.random.default_rng(seed)
+    network = network.to(memory_format=torch.channels_last)  # type: ignore[call-overload]
+    network.train()
+    averaged = AveragedWeights(network, 0.998)
+    optimizer = torch.optim.AdamW(network.parameters(), lr=schedule.learning_rate, weight_decay=1e-3)
+    started = clock()
+    recent: dict[str, float] = {}
+    for step in range(schedule.steps):
+        pool.grow(step)
+        views = [draw(pool, rng) for _ in range(schedule.batch_size)]
+        parts = losses(network, views)
+        if not math.isfinite(float(parts["total"].detach())):
+            raise NonFiniteLoss(f"the loss is not finite at step {step}", step=step)
+        for group in optimizer.param_groups:
+            group["lr"] = schedule.rate(step)
+        optimizer.zero_grad(set_to_none=True)
+        parts["total"].backward()
+        nn.utils.clip_grad_norm_(network.parameters(), _GRADIENT_CLIP)
+        optimizer.step()
+        averaged.update(network)
+        for name, part in parts.items():
+            recent[name] = 0.98 * recent.get(name, float(part.detach())) + 0.02 * float(part.detach())
+        done = step + 1
+        record: dict[str, Any] = {"step": done, "views": len(pool), "seconds": round(clock() - started, 1)}
+        if done % schedule.log_every == 0:
+            append_log(log_path, record | {name: round(value, 4) for name, value in recent.items()})
+        if done % schedule.checkpoint_every == 0 or done == schedule.steps:
+            append_log(log_path, record | checkpoint(averaged.network, done))
+    return averaged.network
+
+
+def append_log(path: Path, record: dict[str, Any]) -> None:
+    """Add one JSON object as a line."""
+    with path.open("a", encoding="utf-8") as file:
+        file.write(json.dumps(record) + "\n")

@@ -1,0 +1,50 @@
+"""One labelled image, as training sees it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from wibam_core.geometry.camera import Camera
+
+FloatArray = NDArray[np.float64]
+
+
+@dataclass(frozen=True, eq=False)
+class LabelledView:
+    """An image with what is known about the N vehicles in it.
+
+    Attributes:
+        image: (H, W, 3) uint8, BGR.
+        camera: of the image's size, but for rows of padding at the bottom of the image.
+        boxes2d: (N, 4) xyxy, px of ``image``: the visible part of each vehicle.
+        classes: (N,) indices into `wibam_core.scene.CLASSES`.
+        boxes3d: (N, 7) in the world; NaN where unknown: such a vehicle teaches the heat and its 2D box alone.
+        confidence: (N,) weight in [0, 1] of the 3D label.
+        front_known: (N,) whether the 3D label tells front from rear; where not, either heading is right.
+        ignored: (M, 4) xyxy, px: regions in which the heat is not judged.
+    """
+
+    image: NDArray[np.uint8]
+    camera: Camera
+    boxes2d: FloatArray
+    classes: NDArray[np.int64]
+    boxes3d: FloatArray
+    confidence: FloatArray
+    front_known: NDArray[np.bool_]
+    ignored: FloatArray
+
+    def __post_init__(self) -> None:
+        n = len(self.classes)
+        shapes = {
+            "boxes2d": (n, 4),
+            "boxes3d": (n, 7),
+            "confidence": (n,),
+            "front_known": (n,),
+            "ignored": (len(self.ignored), 4),
+        }
+        for name, shape in shapes.items():
+            if np.shape(getattr(self, name)) != shape:
+                raise ValueError(f"{name} must have shape {shape}, got {np.shape(getattr(self, name))}")
