@@ -1,0 +1,331 @@
+"""A painted crossroads with known traffic, as a start for tests of pictures."""
+
+from __future__ import annotations
+
+from functools import cache
+from typing import Any
+
+import cv2
+import numpy as np
+
+from tests.builders import corner_rig
+from wibam_core.geometry.box3d import corners
+from wibam_core.geometry.camera import Camera
+from wibam_core.geometry.ground import intersect_plane
+from wibam_core.report.bev import BoxesInstant, ClusteredInstant
+from wibam_core.report.charts import Bars, Curve, Delay, Histogram
+from wibam_core.report.data import (
+    CalibrationRow,
+    ClockRow,
+    Dataset,
+    Example,
+    Recording,
+    ReportData,
+    StageRow,
+    SubsetRow,
+    Synchronisation,
+    Training,
+)
+from wibam_core.report.inputs import Conflicts, Metrics
+from wibam_core.report.mosaic import typical_image
+from wibam_core.scene import Track, VehicleClass
+
+SIZES = {
+    VehicleClass.CAR: (4.4, 1.8, 1.5),
+    VehicleClass.VAN: (5.4, 2.0, 2.2),
+    VehicleClass.TRUCK: (7.8, 2.5, 3.2),
+    VehicleClass.BUS: (11.8, 2.55, 3.1),
+}
+RATE_HZ = 5.0
+OPTIONS = {"max_range_m": 50.0, "min_visibility": 0.3, "match_distance_m": 4.0, "min_score": 0.3}
+
+
+def straight_track(
+    track_id: int,
+    vehicle_class: VehicleClass,
+    start: tuple[float, float],
+    heading_rad: float,
+    speed_mps: float,
+    begin_s: float = 0.0,
+    duration_s: float = 8.0,
+) -> Track:
+    """A vehicle that drives straight on at one speed."""
+    times = begin_s + np.arange(round(duration_s * RATE_HZ)) / RATE_HZ
+    direction = np.array([np.cos(heading_rad), np.sin(heading_rad)])
+    length, width, height = SIZES[vehicle_class]
+    boxes = np.zeros((len(times), 7))
+    boxes[:, :2] = np.array(start) + np.outer((times - begin_s) * speed_mps, direction)
+    boxes[:, 2:] = height / 2, length, width, height, heading_rad
+    velocities = np.tile(direction * speed_mps, (len(times), 1))
+    return Track(
+        track_id,
+        vehicle_class,
+        np.rint(times * 1e9).astype(np.int64),
+        boxes,
+        np.full((len(times), 7), 0.2),
+        velocities,
+        np.zeros(len(times)),
+    )
+
+
+def crossing_traffic() -> list[Track]:
+    """Eastbound, westbound, northbound and southbound vehicles; tracks 1 and 3 meet near the middle."""
+    east, north, west, south = 0.0, np.pi / 2, np.pi, -np.pi / 2
+    return [
+        straight_track(1, VehicleClass.CAR, (-26.0, -2.0), east, 8.0),
+        straight_track(2, VehicleClass.BUS, (30.0, 2.0), west, 6.0),
+        straight_track(3, VehicleClass.VAN, (2.0, -24.0), north, 7.0),
+        straight_track(4, VehicleClass.TRUCK, (-2.0, 28.0), south, 5.0, begin_s=1.0),
+        straight_track(5, VehicleClass.CAR, (-36.0, -2.0), east, 8.0),
+        straight_track(6, VehicleClass.CAR, (2.0, -36.0), north, 9.0, begin_s=2.0),
+    ]
+
+
+def boxes_at(tracks: list[Track], time_ns: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Boxes (N, 7), class numbers (N,) and ids (N,) of the tracks that have a state at a time."""
+    rows = [(t, int(np.searchsorted(t.times_ns, time_ns))) for t in tracks if time_ns in t.times_ns]
+    boxes = np.array([t.boxes[i] for t, i in rows]).reshape(-1, 7)
+    classes = np.array([t.vehicle_class.number for t, _ in rows], dtype=np.int64)
+    return boxes, classes, np.array([t.track_id for t, _ in rows], dtype=np.int64)
+
+
+def paint(camera: Camera, boxes: np.ndarray) -> np.ndarray:
+    """(H, W, 3) BGR image of a crossroads with vehicles as solid boxes."""
+    image = _crossroads(camera).copy()
+    order = np.argsort(-np.linalg.norm(boxes[:, :3] - camera.centre_m, axis=1))
+    for box in boxes[order]:
+        uv, depth = camera.project(corners(box))
+        if (depth > 0.5).all():
+            shade = tuple(int(c) for c in np.random.default_rng(int(box[3] * 10)).integers(40, 220, 3))
+            cv2.fillConvexPoly(image, cv2.convexHull(uv.astype(np.float32)).astype(np.int32), shade, cv2.LINE_AA)
+    return image
+
+
+@cache
+def _crossroads(camera: Camera) -> np.ndarray:
+    v, u = np.mgrid[0 : camera.height_px, 0 : camera.width_px]
+    ground = intersect_plane(camera, np.stack([u, v], axis=-1).astype(float))
+    x, y = ground[..., 0], ground[..., 1]
+    image = np.full((camera.height_px, camera.width_px, 3), (225, 205, 190), np.uint8)
+    on_ground = np.isfinite(x) & (np.hypot(x, y) < 120)
+    road = (np.abs(x) < 6) | (np.abs(y) < 6)
+    mark = ((np.abs(x) < 0.15) & (np.abs(y) > 6)) | ((np.abs(y) < 0.15) & (np.abs(x) > 6))
+    image[on_ground] = (90, 140, 105)
+    image[on_ground & road] = (95, 92, 90)
+    image[on_ground & mark] = (235, 235, 235)
+    return image
+
+
+def noisy(boxes: np.ndarray, scale: float, seed: int) -> np.ndarray:
+    """Boxes (N, 7) as a network of a certain quality might predict them."""
+    spread = np.array([1.0, 1.0, 0.05, 0.3, 0.1, 0.1, 0.2]) * scale
+    return boxes + np.random.default_rng(seed).normal(size=boxes.shape) * spread
+
+
+def figures_json(
+    bev: float, ate: float, recall: float, matched: int, missed: int, false_positives: int
+) -> dict[str, Any]:
+    """One detector's part of ``metrics.json``."""
+
+    def of(mean: float, sd: float) -> dict[str, float]:
+        return {"mean": mean, "sd": sd}
+
+    return {
+        "bev_iou": of(bev, 0.15),
+        "iou_3d": of(bev - 0.04, 0.14),
+        "ate_m": of(ate, 0.8 * ate),
+        "ase": of(0.1, 0.05),
+        "aoe_deg": of(14 * ate, 15 * ate),
+        "matched": matched,
+        "missed": missed,
+        "false_positives": false_positives,
+        "frames": 240,
+        "alias_share": 0.02,
+        "recall": of(recall, 0.2),
+        "precision": matched / (matched + false_positives),
+        "bev_iou_misses_zero": of(bev * recall, 0.3),
+        "iou_3d_misses_zero": of((bev - 0.04) * recall, 0.3),
+    }
+
+
+def metrics_json(*, labels: bool = True) -> dict[str, Any]:
+    """``metrics.json`` of a site where fine-tuning helped."""
+    methods = {
+        "baseline": figures_json(0.46, 0.95, 0.55, 301, 240, 14),
+        "baseline_depth": figures_json(0.06, 2.87, 0.44, 241, 300, 60),
+        "finetuned": figures_json(0.72, 0.36, 0.94, 512, 33, 21),
+    }
+    compat_only = ("missed", "false_positives", "recall", "precision", "bev_iou_misses_zero", "iou_3d_misses_zero")
+    test = {"z": 20.0, "p_z": 1e-9, "p_bootstrap": 0.001}
+    change = {"bev_iou": 0.26, "iou_3d": 0.26, "ate_m": -0.59, "ase": 0.0, "aoe_deg": -8.3}
+    bins = [
+        {"low": low, "high": high, "matched": 80, "missed": 9, "recall": 0.9 - low / 200}
+        | {name: methods["finetuned"][name] for name in change}
+        for low, high in ((0.0, 10.0), (10.0, 20.0), (20.0, 30.0), (50.0, None))
+    ]
+    shares = [{**one, "low": low, "high": low + 0.2} for one, low in zip(bins, (0.3, 0.5, 0.7), strict=False)]
+    agreement = {
+        name: {
+            "other_views": {"mean": mean, "sd": 0.2},
+            "own_view": {"mean": 0.8, "sd": 0.1},
+            "pairs": 900,
+            "found": 0.9,
+        }
+        for name, mean in (("baseline", 0.42), ("baseline_depth", 0.2), ("finetuned", 0.71))
+    }
+    if not labels:
+        empty = dict.fromkeys((*methods, "paper_compat", "significance", "by_visibility", "by_distance"))
+        return {
+            "options": OPTIONS,
+            "labels": "none",
+            "instants": 60,
+            "frames": 240,
+            **empty,
+            "self_consistency": agreement,
+        }
+    return {
+        "options": OPTIONS,
+        "labels": "hand",
+        "instants": 60,
+        "frames": 240,
+        **methods,
+        "paper_compat": {
+            name: {key: value for key, value in one.items() if key not in compat_only} for name, one in methods.items()
+        },
+        "significance": {
+            name: {**test, "difference": value, "low": value - 0.05, "high": value + 0.05}
+            for name, value in change.items()
+        },
+        "by_visibility": {"baseline": shares, "baseline_depth": shares, "finetuned": shares},
+        "by_distance": {"baseline": bins, "baseline_depth": bins, "finetuned": bins},
+        "self_consistency": agreement,
+    }
+
+
+def conflicts_json() -> dict[str, Any]:
+    """``conflicts.json`` with the crossing of tracks 1 and 3."""
+    return {
+        "thresholds": {"ttc_s": 3.0, "pet_s": 2.0, "min_speed_mps": 1.0, "min_following_deceleration_mps2": 3.0},
+        "conflicts": [
+            {
+                "conflict_id": 0,
+                "track_ids": [1, 3],
+                "classes": ["car", "van"],
+                "type": "crossing",
+                "time_ns": 3_000_000_000,
+                "x_m": 2.0,
+                "y_m": -2.0,
+                "speeds_mps": [8.0, 7.0],
+                "ttc_s": 1.27,
+                "ttc_interval_s": [0.9, 1.8],
+                "probability": 0.97,
+                "pet_s": None,
+                "pet_interval_s": [None, None],
+                "deceleration_mps2": 3.4,
+                "duration_s": 0.8,
+                "heading_difference_deg": 90.0,
+            }
+        ],
+    }
+
+
+def report_data(*, labels: bool = True, site_name: str = "Elm Street / 4th Avenue") -> ReportData:
+    """A whole report's data over the painted crossroads."""
+    rig, tracks = corner_rig(4), crossing_traffic()
+    ids = tuple(rig)
+    times = [int(s * 1e9) for s in (1.0, 2.0, 3.0, 4.0)]
+    pictures = {time: {c: paint(rig[c], boxes_at(tracks, time)[0]) for c in ids} for time in times}
+    truth = {time: boxes_at(tracks, time)[0] for time in times}
+    rng = np.random.default_rng(3)
+    metrics = Metrics.model_validate(metrics_json(labels=labels))
+    conflicts = Conflicts.model_validate(conflicts_json())
+    return ReportData(
+        site_name=site_name,
+        version="0.1.0",
+        rig=rig,
+        recordings=tuple(Recording(c, "h264", 640, 360, 25.0, 600.0) for c in ids),
+        synchronisation=Synchronisation(
+            clocks=tuple(ClockRow(c, 0.3 * k, 0.003, 12.0 * k, 3.0, 24, 0.3 * k, 0.006) for k, c in enumerate(ids)),
+            delays=tuple(
+                Delay(c, t, 0.3 * k + 1.2e-5 * k * t, float(rng.normal(0, 0.006)))
+                for k, c in enumerate(ids)
+                for t in np.arange(10, 600, 45.0)
+                if k
+            ),
+            warnings=("The clock of cam3 is ambiguous: 24 light changes also meet with an offset of +45.00 s.",),
+        ),
+        calibration=tuple(
+            CalibrationRow(c, "pnp", 12, 1, 0.61, 1.9, 0.04, {(0.0, 15.0): 0.04, (15.0, 30.0): 0.09, (30.0, 50.0): 0.2})
+            for c in ids
+        ),
+        dataset=Dataset(
+            detected_boxes=12345,
+            unassociated_share=0.17,
+            single_view=210,
+            subsets=(
+                SubsetRow("train", 1125, 450.0, 4000, 11000, 320, 4),
+                SubsetRow("val", 225, 90.0, 800, 2100, 70, 2),
+                SubsetRow("test", 150, 60.0, 500, 1400, 44, 0),
+            ),
+            plots=(
+                Bars("vehicles by number of views", {"2": 3133, "3": 368, "4": 1074}),
+                Bars("vehicles by class", {"car": 3000, "van": 800, "truck": 400, "bus": 120}),
+                Histogram("depth of the boxes", "distance (m)", (0.0, 10.0, 20.0, 30.0, 40.0), (20, 900, 1100, 300)),
+                Histogram("elevation angle", "angle (°)", (10.0, 20.0, 30.0, 40.0), (400, 900, 300)),
+            ),
+        ),
+        training=Training(
+            totals=(falling("training", 0.3), falling("validation", 0.5)),
+            parts=(falling("heatmap", 0.1), falling("size", 0.2)),
+            kept_step=400,
+            facts=(("method", "lifted"), ("placing of boxes", "plane")),
+        ),
+        metrics=metrics,
+        tracks=tuple(tracks),
+        conflicts=tuple(conflicts.conflicts),
+        conflict_thresholds=conflicts.thresholds,
+        typical_images={c: typical_image([pictures[time][c] for time in times]) for c in ids},
+        clusters=tuple(clustered(time / 1e9, truth[time], 4, seed=k) for k, time in enumerate(times)),
+        boxes=tuple(
+            BoxesInstant(
+                time / 1e9,
+                ({"label": truth[time]} if labels else {})
+                | {"baseline": noisy(truth[time], 1.0, k), "fine-tuned": noisy(truth[time], 0.25, k)},
+            )
+            for k, time in enumerate(times[:2])
+        ),
+        examples=tuple(
+            Example(
+                time_s=time / 1e9,
+                camera_id=ids[k],
+                other_id=ids[(k + 2) % 4],
+                cameras=rig,
+                images=pictures[time],
+                baseline=noisy(truth[time], 1.0, k),
+                finetuned=noisy(truth[time], 0.25, k),
+                labels=truth[time] if labels else None,
+            )
+            for k, time in enumerate(times[:2])
+        ),
+        stages=(
+            StageRow("Check the recordings", "ab" * 32, 1.25),
+            StageRow("Fine-tune the 3D detector", "cd" * 32, 118.4),
+        ),
+        options=(("safety.ttc_s", "3"),),
+    )
+
+
+def falling(name: str, floor: float) -> Curve:
+    """A loss that levels out."""
+    return Curve(name, tuple(range(50, 401, 50)), tuple(2 * np.exp(-np.arange(8) / 3) + floor))
+
+
+def clustered(time_s: float, boxes: np.ndarray, cameras: int, seed: int) -> ClusteredInstant:
+    """Every box seen by every camera, its ground points scattered."""
+    points = np.tile(boxes[:, :2], (cameras, 1))
+    return ClusteredInstant(
+        time_s,
+        points + np.random.default_rng(seed).normal(0, 0.5, points.shape),
+        np.repeat(np.arange(cameras), len(boxes)),
+        np.tile(np.arange(len(boxes)), cameras),
+    )

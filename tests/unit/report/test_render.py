@@ -1,0 +1,115 @@
+"""The page: self-contained, escaped, accessible, the same bytes twice."""
+
+from __future__ import annotations
+
+import base64
+import re
+from dataclasses import replace
+from html.parser import HTMLParser
+
+import pytest
+
+from tests.unit.report.scenes import report_data
+from wibam_core.report.data import Synchronisation, Training
+from wibam_core.report.render import render
+
+HOSTILE = "<script>alert(1)</script> \"quoted\" & 'Straße' $x^2$ {{ 7*7 }}"
+
+
+class Outline(HTMLParser):
+    """Collects what the tests ask for."""
+
+    def __init__(self, page: str) -> None:
+        super().__init__()
+        self.tags: list[tuple[str, dict[str, str | None]]] = []
+        self.feed(page)
+
+    def handle_starttag(self, tag, attrs):
+        self.tags.append((tag, dict(attrs)))
+
+    def all(self, tag: str) -> list[dict[str, str | None]]:
+        return [attrs for name, attrs in self.tags if name == tag]
+
+
+@pytest.fixture(scope="module")
+def page() -> str:
+    return render(report_data())
+
+
+@pytest.fixture(scope="module")
+def outline(page: str) -> Outline:
+    return Outline(page)
+
+
+def test_nothing_comes_from_anywhere_else(page, outline):
+    assert not outline.all("script") and not outline.all("iframe") and not outline.all("object")
+    for tag, attrs in outline.tags:
+        for name in ("src", "href", "srcset", "action", "data"):
+            value = attrs.get(name)
+            assert value is None or value.startswith(("data:", "#")), (tag, value)
+    assert "url(" not in page.split("</style>")[0] and "@import" not in page
+    assert "default-src 'none'" in page
+
+
+def test_size(page):
+    assert len(page.encode()) < 6e6
+
+
+def test_pictures_have_words_and_tables_have_headings(outline):
+    images = outline.all("img")
+    assert len(images) >= 17
+    assert all(image["alt"] and image["width"] for image in images)
+    assert outline.all("th") and all(heading["scope"] in ("row", "col", "colgroup") for heading in outline.all("th"))
+    assert len(outline.all("caption")) == len(outline.all("table"))
+    assert outline.all("html")[0]["lang"] == "en"
+
+
+def test_contents_lead_somewhere(outline):
+    ids = {attrs["id"] for _, attrs in outline.tags if attrs.get("id")}
+    targets = [link["href"][1:] for link in outline.all("a")]
+    assert len(targets) == 10 and set(targets) <= ids
+
+
+def test_the_same_bytes_twice(page):
+    assert render(report_data()) == page
+
+
+def test_pictures_say_nothing_of_the_clock(outline):
+    svgs = [i["src"] for i in outline.all("img") if i["src"].startswith("data:image/svg+xml")]
+    for uri in svgs:
+        svg = base64.b64decode(uri.split(",")[1]).decode()
+        assert "<dc:date>" not in svg and "http-equiv" not in svg
+
+
+def text_alone(**changes) -> str:
+    """The page without what is slow to draw, and without labels."""
+    bare = replace(report_data(labels=False), tracks=(), examples=(), boxes=(), clusters=(), typical_images={})
+    return render(replace(bare, **changes))
+
+
+def test_hostile_names_stay_text():
+    page = text_alone(site_name=HOSTILE, synchronisation=Synchronisation((), (), (HOSTILE,)))
+    assert "<script>" not in page and "&lt;script&gt;alert(1)&lt;/script&gt;" in page
+    assert "{{ 7*7 }}" in page and "Straße" in page
+
+
+def test_without_labels_there_is_no_accuracy_but_agreement(page):
+    bare = text_alone()
+    assert "There are no labels for the test part" in bare
+    assert 'class="results"' not in bare and "thin white lines are labels" not in bare
+    assert "0.71 ± 0.20" in bare
+    assert 'class="results"' in page and "thin white lines are labels" in page
+
+
+def test_with_nothing_found_the_page_still_stands():
+    page = text_alone(
+        conflicts=(), synchronisation=Synchronisation((), (), ()), training=Training((), (), 0, ()), stages=()
+    )
+    assert "No track was found." in page and "No conflict with" in page
+    assert "No frame of the test part shows a vehicle." in page
+    assert not re.search(r"\bNone\b", re.sub(r"<[^>]+>", " ", page.split("</style>")[1]))
+
+
+def test_no_raw_python_shows(page):
+    text = re.sub(r"<[^>]+>", " ", page.split("</style>")[1])
+    assert not re.search(r"\b(None|nan|inf|True|False|object at)\b", text)

@@ -1,0 +1,108 @@
+"""Sentences, tables and the summary: they must say what the figures say."""
+
+from __future__ import annotations
+
+import io
+import json
+from pathlib import Path
+
+import pytest
+from rich.console import Console
+
+from tests.unit.report.scenes import conflicts_json, crossing_traffic, metrics_json
+from wibam_core.cli.tables import print_tables
+from wibam_core.report.advice import advice
+from wibam_core.report.inputs import Metrics
+from wibam_core.report.page import interval, result_rows
+from wibam_core.report.summary import METRIC_NAMES, summary
+
+
+def changed(**significance: dict[str, float]) -> Metrics:
+    document = metrics_json()
+    for name, values in significance.items():
+        document["significance"][name] |= values
+    return Metrics.model_validate(document)
+
+
+def test_advice_for_a_real_gain():
+    text = " ".join(advice(Metrics.model_validate(metrics_json())))
+    assert "lifted BEV IoU from 0.46 to 0.72" in text
+    assert "from 0.95 m to 0.36 m" in text and "from 55 % to 94 %" in text
+    assert "use the fine-tuned weights" in text
+
+
+def test_advice_for_chance_is_to_record_longer():
+    text = " ".join(advice(changed(bev_iou={"p_bootstrap": 0.2})))
+    assert "may be chance" in text and "use the fine-tuned weights at" not in text
+
+
+def test_advice_against_worse_weights():
+    assert "do not use it" in " ".join(advice(changed(bev_iou={"difference": -0.1})))
+
+
+def test_advice_warns_of_sizes_that_shrank():
+    text = " ".join(advice(changed(ase={"difference": 0.1, "p_bootstrap": 0.001})))
+    assert "do not take lengths and widths" in text
+    assert "lengths" not in " ".join(advice(changed(ase={"difference": 0.1, "p_bootstrap": 0.5})))
+
+
+def test_advice_sees_a_gain_that_loses_vehicles():
+    document = metrics_json()
+    document["finetuned"]["bev_iou_misses_zero"] = {"mean": 0.1, "sd": 0.1}
+    assert "fewer vehicles are found" in " ".join(advice(Metrics.model_validate(document)))
+
+
+def test_advice_without_labels_claims_no_accuracy():
+    text = " ".join(advice(Metrics.model_validate(metrics_json(labels=False))))
+    assert "no labels" in text and "0.42 before and 0.71 after" in text
+    assert "use the fine-tuned weights" not in text
+
+
+def test_advice_without_matches_compares_nothing():
+    document = metrics_json()
+    document["baseline"] |= {"matched": 0, "bev_iou": {"mean": None, "sd": None}}
+    for test in document["significance"].values():
+        test |= {"difference": None, "p_bootstrap": None}
+    text = " ".join(advice(Metrics.model_validate(document)))
+    assert "nothing to compare" in text and "None" not in text
+
+
+def test_results_mark_better_and_worse_by_the_sense_of_each_metric():
+    rows = {row.name: row for row in result_rows(Metrics.model_validate(metrics_json()))}
+    assert rows["BEV IoU"].verdict == "better" and rows["BEV IoU"].change.value == "+0.26 **"
+    assert rows["ATE (m)"].verdict == "better" and rows["ATE (m)"].change.value == "−0.59 **"
+    assert rows["BEV IoU"].published[1].value == "0.64"
+    assert rows["missed"].paper_compat[2].value == "–" and rows["missed"].correct[2].value == "33"
+    assert result_rows(Metrics.model_validate(metrics_json(labels=False))) == ()
+
+
+def test_interval_without_an_upper_end():
+    assert interval(1.5, (1.0, None)) == "1.50 [1.00, ∞]"
+    assert interval(None, (None, None)) == "–"
+
+
+@pytest.mark.parametrize("labels", [True, False])
+def test_summary_has_the_promised_keys(labels):
+    paths = {"weights": Path("w"), "tracks": Path("t"), "report": Path("r")}
+    found = json.loads(json.dumps(summary(metrics_json(labels=labels), {"sync": 1.23456}, 6, 1, paths)))
+    assert found["tracks"] == 6 and found["conflicts"] == 1 and found["seconds"] == {"sync": 1.235}
+    assert found["paths"] == {"weights": "w", "tracks": "t", "report": "r"}
+    for name in ("baseline", "finetuned"):
+        if not labels:
+            assert found[name] is None
+            continue
+        assert set(found[name]) == {*METRIC_NAMES, "matched", "missed"}
+        assert set(found[name]["recall"]) == {"mean", "sd"}
+    if labels:
+        assert found["finetuned"]["matched"] == 512 and found["finetuned"]["missed"] == 33
+
+
+@pytest.mark.parametrize("labels", [True, False])
+def test_terminal_tables(labels):
+    out = io.StringIO()
+    console = Console(file=out, width=200, no_color=True)
+    print_tables(console, metrics_json(labels=labels), crossing_traffic(), conflicts_json())
+    text = out.getvalue()
+    assert ("0.72 (0.15)**" in text) == labels
+    assert "Tracks: 5 of 6" in text and "Conflicts: 1 of 1" in text and "1.3 (0.9–1.8)" in text
+    assert "None" not in text

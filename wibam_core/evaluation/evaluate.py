@@ -1,0 +1,141 @@
+"""Detections of all frames against labels."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, replace
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from wibam_core.config import EvaluateConfig
+from wibam_core.evaluation.labels_at import LabelTimeline
+from wibam_core.evaluation.matching import match_in_image, match_on_ground, paper_filter
+from wibam_core.evaluation.metrics import MatchMetrics, alias_share, compare, compare_as_published
+from wibam_core.geometry.camera import Camera
+from wibam_core.scene import LabelledInstant, Vehicles3D
+
+Array = NDArray[np.float64]
+Indices = NDArray[np.int64]
+Mode = Literal["correct", "paper_compat"]
+
+
+@dataclass(frozen=True, eq=False)
+class Sightings:
+    """Labelled vehicles as single cameras saw them.
+
+    Attributes:
+        vehicle_ids: (K,); a vehicle without an id has a negative one of its own at each sighting.
+        visibility: (K,) in that camera. distance_m: (K,) from that camera over the ground.
+    """
+
+    vehicle_ids: Indices
+    visibility: Array
+    distance_m: Array
+
+
+@dataclass(frozen=True, eq=False)
+class Evaluation:
+    """What one detector got right and wrong.
+
+    Attributes:
+        metrics, matched: of matched pairs, in the same order.
+        missed: labels that count and were not found. Always empty as published.
+        false_positives: detections of nothing. 0 as published.
+        alias_share: share of matches whose yaw is off by 150° or more.
+        frames: frames with labels.
+    """
+
+    mode: Mode
+    metrics: MatchMetrics
+    matched: Sightings
+    missed: Sightings
+    false_positives: int
+    alias_share: float
+    frames: int
+
+
+def evaluate(
+    predictions: Iterable[Vehicles3D],
+    labels: LabelTimeline,
+    rig: Mapping[str, Camera],
+    config: EvaluateConfig,
+    mode: Mode = "correct",
+) -> Evaluation:
+    """Compare detections with labels, each frame at its own time.
+
+    Args:
+        predictions: one entry per frame, empty ones included: ``camera_id`` says whose, and ``time_ns`` is the time
+            that the frame was exposed. Frames without labels are left out.
+        labels: by time.
+        rig: camera id -> camera.
+        config: which labels count and how near a match is; ``paper_compat`` uses its own published rules.
+        mode: see `match_on_ground` and `match_in_image`.
+    """
+    frames = [
+        _compare_frame(found, instant, rig[str(found.camera_id)], config, mode)
+        for found in predictions
+        if (instant := labels.at(found.time_ns)) is not None
+    ]
+    predicted = np.concatenate([np.empty((0, 7)), *(frame.predicted for frame in frames)])
+    truth = np.concatenate([np.empty((0, 7)), *(frame.truth for frame in frames)])
+    return Evaluation(
+        mode=mode,
+        metrics=compare(predicted, truth) if mode == "correct" else compare_as_published(predicted, truth),
+        matched=_join([frame.matched for frame in frames], -1),
+        missed=_join([frame.missed for frame in frames], -1_000_000_000),
+        false_positives=sum(frame.false_positives for frame in frames),
+        alias_share=alias_share(predicted, truth),
+        frames=len(frames),
+    )
+
+
+@dataclass(frozen=True, eq=False)
+class _Frame:
+    predicted: Array
+    truth: Array
+    matched: Sightings
+    missed: Sightings
+    false_positives: int
+
+
+def _compare_frame(
+    found: Vehicles3D, instant: LabelledInstant, camera: Camera, config: EvaluateConfig, mode: Mode
+) -> _Frame:
+    labels = instant.vehicles
+    visibility = np.asarray(instant.visibility.get(str(found.camera_id), np.zeros(len(labels))), dtype=np.float64)
+    distance = np.linalg.norm(labels.boxes[:, :2] - camera.centre_m[:2], axis=1)
+    if mode == "paper_compat":
+        found = found.where(paper_filter(found.boxes, found.scores))
+        match = match_in_image(labels.boxes, visibility > 0, found.boxes, camera)
+    else:
+        found = found.where(found.scores >= config.min_score)
+        in_range = np.linalg.norm(found.boxes[:, :2] - camera.centre_m[:2], axis=1) <= config.max_range_m
+        counts = (visibility > config.min_visibility) & (distance <= config.max_range_m)
+        match = match_on_ground(labels.boxes, counts, found.boxes, config.match_distance_m)
+        false_positives = match.false_positives[in_range[match.false_positives]]
+        match = replace(match, false_positives=false_positives)
+    sightings = Sightings(labels.ids, visibility, distance)
+    return _Frame(
+        found.boxes[match.detections],
+        labels.boxes[match.labels],
+        _take(sightings, match.labels),
+        _take(sightings, match.missed),
+        len(match.false_positives),
+    )
+
+
+def _take(sightings: Sightings, rows: Indices) -> Sightings:
+    return Sightings(sightings.vehicle_ids[rows], sightings.visibility[rows], sightings.distance_m[rows])
+
+
+def _join(parts: list[Sightings], first_unknown: int) -> Sightings:
+    ids = np.concatenate([np.empty(0, np.int64), *(part.vehicle_ids for part in parts)])
+    unknown = ids < 0
+    ids[unknown] = first_unknown - np.arange(unknown.sum())
+    return Sightings(
+        ids,
+        np.concatenate([np.empty(0), *(part.visibility for part in parts)]),
+        np.concatenate([np.empty(0), *(part.distance_m for part in parts)]),
+    )

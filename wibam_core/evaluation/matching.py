@@ -1,0 +1,95 @@
+"""Which detection is which vehicle, in one frame of one camera. Two ways, always reported side by side."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.optimize import linear_sum_assignment
+
+from wibam_core.geometry.camera import Camera
+from wibam_core.geometry.iou import image_iou
+from wibam_core.geometry.projection import project_boxes
+
+Array = NDArray[np.float64]
+Indices = NDArray[np.int64]
+
+#: Quirks of the published evaluation, see `match_in_image`.
+PAPER_MIN_IMAGE_IOU = 0.5
+PAPER_MIN_SCORE = 0.4
+PAPER_MAX_SIDE_M = 6.0
+
+
+@dataclass(frozen=True, eq=False)
+class FrameMatch:
+    """Outcome for one frame.
+
+    Attributes:
+        labels, detections: (K,) indices of the matched pairs.
+        missed: indices of labels that count and have no detection.
+        false_positives: indices of detections without any label.
+    """
+
+    labels: Indices
+    detections: Indices
+    missed: Indices
+    false_positives: Indices
+
+
+def assign(cost: Array, admissible: NDArray[np.bool_]) -> tuple[Indices, Indices]:
+    """Pairs (rows, columns) of the assignment with most admissible pairs, and of those the least total cost."""
+    if not cost.size or not admissible.any():
+        return np.empty(0, np.int64), np.empty(0, np.int64)
+    forbidden = 1.0 + 2.0 * float(np.abs(cost[admissible]).sum())
+    rows, columns = linear_sum_assignment(np.where(admissible, cost, forbidden))
+    valid = admissible[rows, columns]
+    return rows[valid].astype(np.int64), columns[valid].astype(np.int64)
+
+
+def match_on_ground(labels: Array, counts: NDArray[np.bool_], detections: Array, max_distance_m: float) -> FrameMatch:
+    """Optimal assignment by the distance of centres in the ground plane.
+
+    Labels that do not count (hidden, far away) take part, so that the detection of one is not credited to another
+    vehicle beside it; it is then neither a hit nor a false positive, nor is any other detection near such a label.
+
+    Args:
+        labels: (M, 7) all labelled vehicles.
+        counts: (M,) which of them a detector is asked for.
+        detections: (N, 7).
+        max_distance_m: a pair farther apart is no match.
+    """
+    distance = np.linalg.norm(labels[:, None, :2] - detections[None, :, :2], axis=-1)
+    near = distance <= max_distance_m
+    rows, columns = assign(distance, near)
+    hits = counts[rows]
+    excused = near[~counts].any(axis=0) if (~counts).any() else np.zeros(len(detections), bool)
+    unmatched = np.ones(len(detections), bool)
+    unmatched[columns] = False
+    missed = counts.copy()
+    missed[rows] = False
+    return FrameMatch(rows[hits], columns[hits], np.flatnonzero(missed), np.flatnonzero(unmatched & ~excused))
+
+
+def match_in_image(labels: Array, visible: NDArray[np.bool_], detections: Array, camera: Camera) -> FrameMatch:
+    """As published: pairs whose tight image boxes overlap with IoU > 0.5; nothing else is counted.
+
+    A detection whose image box overlaps too little is dropped however right or wrong its place is, and neither
+    misses nor false positives are kept: that selects the good ones.
+
+    Args:
+        labels: (M, 7).
+        visible: (M,) which are seen at all.
+        detections: (N, 7), as filtered by `paper_filter`.
+        camera: the frame's.
+    """
+    candidates = np.flatnonzero(visible)
+    overlap = np.nan_to_num(image_iou(project_boxes(camera, labels[candidates]), project_boxes(camera, detections)))
+    rows, columns = assign(-overlap, overlap > PAPER_MIN_IMAGE_IOU)
+    nothing = np.empty(0, np.int64)
+    return FrameMatch(candidates[rows], columns, nothing, nothing)
+
+
+def paper_filter(detections: Array, scores: Array) -> Indices:
+    """As published: detections with a score of at least 0.4 and no side over 6 m (no truck or bus remains)."""
+    return np.flatnonzero((scores >= PAPER_MIN_SCORE) & (detections[:, 3:6] <= PAPER_MAX_SIDE_M).all(axis=1))

@@ -1,0 +1,92 @@
+"""What the figures mean for the person who has to decide, in plain sentences."""
+
+from __future__ import annotations
+
+from wibam_core.report.inputs import DetectorFigures, Metrics, Significance
+
+#: Differences are called real below this p (bootstrap over vehicles).
+SIGNIFICANT = 0.01
+#: Fewer matched sightings than this are too few to say much.
+_FEW_MATCHES = 50
+
+
+def advice(metrics: Metrics) -> list[str]:
+    """A few sentences: what changed, whether that is more than chance, what to do."""
+    if metrics.baseline is None or metrics.finetuned is None:
+        return _without_labels(metrics)
+    return [
+        _what_changed(metrics.baseline, metrics.finetuned),
+        _verdict(metrics.baseline, metrics.finetuned, (metrics.significance or {}).get("bev_iou")),
+        *_reservations(metrics.baseline, metrics.finetuned, metrics.significance or {}),
+    ]
+
+
+def _what_changed(before: DetectorFigures, after: DetectorFigures) -> str:
+    if before.matched == 0 or after.matched == 0:
+        return (
+            f"The baseline found {before.matched} labelled vehicles and the fine-tuned network {after.matched}: "
+            "there is nothing to compare."
+        )
+    return (
+        f"Fine-tuning {_moved(before.bev_iou.mean, after.bev_iou.mean)}; the position error went from "
+        f"{_two(before.ate_m.mean)} m to {_two(after.ate_m.mean)} m, and the share of vehicles found from "
+        f"{_percent(before.recall.mean)} to {_percent(after.recall.mean)}."
+    )
+
+
+def _verdict(before: DetectorFigures, after: DetectorFigures, test: Significance | None) -> str:
+    first, second = before.bev_iou_misses_zero.mean, after.bev_iou_misses_zero.mean
+    if test is None or test.difference is None or test.p_bootstrap is None or first is None or second is None:
+        return "Too little was matched to say whether the fine-tuned network is better."
+    if test.p_bootstrap >= SIGNIFICANT:
+        return (
+            "Over whole vehicles the difference in BEV IoU may be chance: record for longer, or label more instants, "
+            "before you rely on it."
+        )
+    if test.difference > 0 and second >= first:
+        return "The gain is more than chance: use the fine-tuned weights at this site."
+    if test.difference > 0:
+        return "Boxes got better but fewer vehicles are found: look at recall before you use the fine-tuned weights."
+    return "The fine-tuned network is worse than the baseline: do not use it; check synchronisation and calibration."
+
+
+def _reservations(before: DetectorFigures, after: DetectorFigures, significance: dict[str, Significance]) -> list[str]:
+    found = []
+    size = significance.get("ase")
+    if size is not None and (size.difference or 0.0) > 0 and (size.p_bootstrap or 0.0) < SIGNIFICANT:
+        found.append(
+            f"Sizes got worse (ASE {_two(before.ase.mean)} to {_two(after.ase.mean)}): "
+            "do not take lengths and widths from the fine-tuned network."
+        )
+    if min(before.matched, after.matched) < _FEW_MATCHES:
+        found.append(f"The figures rest on only {min(before.matched, after.matched)} matched sightings.")
+    return found
+
+
+def _without_labels(metrics: Metrics) -> list[str]:
+    before, after = (metrics.self_consistency.get(name) for name in ("baseline", "finetuned"))
+    sentences = ["There are no labels for the test part, so nothing here says how right the boxes are."]
+    if before is not None and after is not None and None not in (before.other_views.mean, after.other_views.mean):
+        sentences.append(
+            "Boxes predicted in one view, drawn into the other views, overlap what was detected there by an IoU of "
+            f"{_two(before.other_views.mean)} before and {_two(after.other_views.mean)} after fine-tuning."
+        )
+    sentences.append(
+        "That shows whether the views agree, not whether they are right: label some instants of the test part to know."
+    )
+    return sentences
+
+
+def _moved(before: float | None, after: float | None) -> str:
+    first, second = _two(before), _two(after)
+    if first == second:
+        return f"left BEV IoU at {first}"
+    return f"{'lifted' if second > first else 'lowered'} BEV IoU from {first} to {second}"
+
+
+def _two(value: float | None) -> str:
+    return "–" if value is None else f"{value:.2f}"
+
+
+def _percent(value: float | None) -> str:
+    return "–" if value is None else f"{100 * value:.0f} %"

@@ -1,0 +1,325 @@
+"""Upstream stages' folders to `ReportData`: the only part of the report that reads files."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import TypeVar
+
+import numpy as np
+from pydantic import TypeAdapter
+
+import wibam_core
+from wibam_core.association.rays import ground_points
+from wibam_core.dataset.split import SUBSETS, Split
+from wibam_core.evaluation.labels_at import LabelTimeline
+from wibam_core.formats.annotations import read_annotations
+from wibam_core.formats.framestore import FrameStore
+from wibam_core.formats.labels import read_labels
+from wibam_core.formats.rig import read_rig
+from wibam_core.formats.tracks import read_tracks
+from wibam_core.formats.vehicles3d import read_vehicles3d
+from wibam_core.report.bev import BoxesInstant, ClusteredInstant
+from wibam_core.report.charts import Bars, Curve, Delay, Histogram
+from wibam_core.report.data import (
+    Array,
+    CalibrationRow,
+    ClockRow,
+    Dataset,
+    Example,
+    Image,
+    Recording,
+    ReportData,
+    StageRow,
+    SubsetRow,
+    Synchronisation,
+    Training,
+)
+from wibam_core.report.inputs import (
+    AssociationStatistics,
+    CameraResiduals,
+    Changes,
+    Conflicts,
+    Curves,
+    DatasetStatistics,
+    HistogramCounts,
+    LiftStatistics,
+    Manifest,
+    Metrics,
+)
+from wibam_core.report.inputs import Recording as ProbedRecording
+from wibam_core.report.mosaic import typical_image
+from wibam_core.report.selection import Choice, busiest, choose_examples
+from wibam_core.scene import AnnotatedInstant, CameraRig, Vehicles3D
+
+#: Frames of each camera whose median is its typical image.
+_TYPICAL_FRAMES = 9
+_CLUSTER_INSTANTS = 4
+_METHODS = {
+    "lifted": "lifted: boxes fitted to all views of each vehicle, then learned",
+    "paper": "paper: the published multi-view reprojection loss (eq. 1)",
+}
+_DECODES = {"plane": "on the ground plane along the ray", "depth": "by the network's depth"}
+_KEPT = {"last": "those of the last step", "best": "those of the best validation loss"}
+_NOT_SYNCHRONISED = "The recordings were taken to share one clock, as asked for; nothing was measured."
+
+_Kind = TypeVar("_Kind")
+_ByFrame = Mapping[tuple[int, str], Vehicles3D]
+
+
+def assemble(
+    site_name: str, upstream: Mapping[str, Path], labels: Path | None, titles: Mapping[str, str], examples: int
+) -> ReportData:
+    """Read everything that a report shows.
+
+    Args:
+        site_name: as the user wrote it.
+        upstream: stage -> its published folder, of every stage but the report.
+        labels: hand labels, where there are any.
+        titles: stage -> what it does, for a person.
+        examples: frames to show before and after.
+    """
+    rig = read_rig(upstream["calibrate"] / "rig.json")
+    store = FrameStore(upstream["frames"])
+    metrics = _json(upstream["evaluate"] / "metrics.json", Metrics)
+    conflicts = _json(upstream["safety"] / "conflicts.json", Conflicts)
+    annotations = read_annotations(upstream["associate"] / "annotations.parquet")
+    split = Split.from_json(_json(upstream["dataset"] / "split.json", dict[str, object]))
+    test = [instant for instant in annotations if instant.time_ns in set(split.times_ns["test"])]
+    choices = choose_examples(test, tuple(rig), examples)
+    predictions = {
+        name: _predictions(upstream["evaluate"] / f"predictions_{name}.parquet", metrics.options["min_score"])
+        for name in ("baseline", "finetuned")
+    }
+    timeline = LabelTimeline(read_labels(labels)) if labels is not None and metrics.finetuned is not None else None
+    return ReportData(
+        site_name=site_name,
+        version=wibam_core.__version__,
+        rig=rig,
+        recordings=_recordings(upstream["preflight"]),
+        synchronisation=_synchronisation(upstream["sync"]),
+        calibration=_calibration(upstream["calibrate"]),
+        dataset=_dataset(upstream),
+        training=_training(upstream["finetune"], upstream["lift"]),
+        metrics=metrics,
+        tracks=tuple(read_tracks(upstream["track"] / "tracks.parquet")),
+        conflicts=tuple(conflicts.conflicts),
+        conflict_thresholds=conflicts.thresholds,
+        typical_images=_typical_images(store, rig),
+        clusters=tuple(_clustered(instant, rig) for instant in busiest(annotations, _CLUSTER_INSTANTS)),
+        boxes=tuple(_boxes(choice, predictions, timeline) for choice in choices),
+        examples=tuple(_example(choice, store, rig, predictions, timeline) for choice in choices),
+        stages=_stages(upstream, titles),
+        options=_options(metrics, conflicts),
+    )
+
+
+def _json(path: Path, kind: type[_Kind]) -> _Kind:
+    return TypeAdapter(kind).validate_json(path.read_bytes())
+
+
+def _predictions(path: Path, min_score: float) -> _ByFrame:
+    found = read_vehicles3d(path)
+    return {(v.time_ns, str(v.camera_id)): v.where(v.scores >= min_score) for v in found}
+
+
+def _recordings(folder: Path) -> tuple[Recording, ...]:
+    probed = _json(folder / "probe.json", dict[str, ProbedRecording])
+    return tuple(
+        Recording(camera_id, info.codec, info.width_px, info.height_px, info.fps, info.duration_s)
+        for camera_id, info in probed.items()
+    )
+
+
+def _synchronisation(folder: Path) -> Synchronisation:
+    changes = _json(folder / "changes.json", Changes)
+    if changes.method == "none":
+        return Synchronisation(
+            (), (), ("The recordings were taken to share one clock, as asked for; nothing was measured.",)
+        )
+    clocks = tuple(
+        ClockRow(
+            camera_id,
+            clock.offset_s,
+            clock.offset_sd_s,
+            clock.drift_ppm,
+            clock.drift_sd_ppm,
+            clock.matched,
+            clock.rms_before_s,
+            clock.rms_after_s,
+        )
+        for camera_id, clock in changes.cameras.items()
+    )
+    delays = tuple(
+        Delay(seen.camera, group.time_s, seen.delay_before_s, seen.delay_after_s)
+        for group in changes.groups
+        for seen in group.observations
+        if seen.camera != changes.reference and seen.delay_before_s is not None and seen.delay_after_s is not None
+    )
+    warnings = tuple(
+        f"The clock of {camera_id} is ambiguous: {clock.matched} light changes also meet with an offset of "
+        + " or ".join(f"{other.offset_s:+.2f} s" for other in clock.alternatives if other.matched >= clock.matched)
+        + ". Compare a moving vehicle in two cameras, or record for longer."
+        for camera_id, clock in changes.cameras.items()
+        if clock.ambiguous
+    )
+    return Synchronisation(clocks, delays, warnings)
+
+
+def _calibration(folder: Path) -> tuple[CalibrationRow, ...]:
+    return tuple(
+        CalibrationRow(
+            camera_id,
+            one.kind,
+            one.points,
+            one.rejected,
+            one.median_px,
+            one.max_px,
+            one.median_m,
+            {(zone.from_m, zone.to_m): zone.m_per_px for zone in one.zones if zone.m_per_px is not None},
+        )
+        for camera_id, one in _json(folder / "residuals.json", dict[str, CameraResiduals]).items()
+    )
+
+
+def _dataset(upstream: Mapping[str, Path]) -> Dataset:
+    associated = _json(upstream["associate"] / "statistics.json", AssociationStatistics)
+    statistics = _json(upstream["dataset"] / "statistics.json", DatasetStatistics)
+    return Dataset(
+        detected_boxes=associated.boxes,
+        unassociated_share=associated.unassociated_share,
+        single_view=associated.single_view,
+        subsets=tuple(
+            SubsetRow(name, part.instants, part.seconds, part.vehicles, part.boxes, part.tracks, part.left_out_tracks)
+            for name, part in ((name, statistics.subsets[name]) for name in SUBSETS)
+        ),
+        plots=(
+            Bars("vehicles by number of views", statistics.by_views),
+            Bars("vehicles by class", statistics.by_class),
+            _histogram("depth of the boxes", "distance along the optical axis (m)", statistics.depth_m),
+            _histogram("elevation angle of the boxes", "angle below the horizontal (°)", statistics.elevation_deg),
+            Bars("instants by number of vehicles", _by_number(statistics.vehicles_per_instant)),
+            Bars("boxes by camera", statistics.boxes_by_camera),
+        ),
+    )
+
+
+def _histogram(title: str, unit: str, counts: HistogramCounts) -> Histogram:
+    return Histogram(title, unit, tuple(counts.edges), tuple(counts.counts))
+
+
+def _by_number(counts: HistogramCounts) -> dict[str, int]:
+    """A histogram of whole numbers in bins one wide."""
+    return {f"{edge:.0f}": count for edge, count in zip(counts.edges, counts.counts, strict=False)}
+
+
+def _training(finetune: Path, lift: Path) -> Training:
+    curves = _json(finetune / "curves.json", Curves)
+    lifts = _json(lift / "statistics.json", LiftStatistics)
+    steps = [epoch.step for epoch in curves.epochs]
+    totals = (
+        _curve("training", steps, [epoch.train for epoch in curves.epochs], "total"),
+        _curve("validation", steps, [epoch.validation for epoch in curves.epochs], "total"),
+    )
+    names = dict.fromkeys(name for epoch in curves.epochs for name in epoch.train if name != "total")
+    facts = [
+        ("method", _METHODS.get(curves.method, curves.method)),
+        ("placing of boxes", _DECODES.get(curves.decode, curves.decode)),
+        ("steps", f"{curves.epochs[-1].step} in {len(curves.epochs)} epochs"),
+        ("weights kept", f"{_KEPT.get(curves.kept, curves.kept)} (step {curves.kept_step})"),
+        ("multi-view fits", f"{lifts.kept} of {lifts.fits} good enough to train on, of {lifts.tracks} vehicles"),
+    ]
+    if lifts.residual is not None:
+        facts.append(("median residual of the fits", f"{lifts.residual.p50:.3f} (mean 1 − GIoU over the views)"))
+    parts = tuple(_curve(name.replace("_", " "), steps, [e.train for e in curves.epochs], name) for name in names)
+    return Training(tuple(curve for curve in totals if curve.steps), parts, curves.kept_step, tuple(facts))
+
+
+def _curve(title: str, steps: Sequence[int], losses: Sequence[Mapping[str, float]], name: str) -> Curve:
+    """One part of the losses, over the epochs that have it."""
+    known = [(step, loss[name]) for step, loss in zip(steps, losses, strict=True) if name in loss]
+    return Curve(title, tuple(step for step, _ in known), tuple(value for _, value in known))
+
+
+def _typical_images(store: FrameStore, rig: CameraRig) -> dict[str, Image]:
+    images = {}
+    for camera_id in rig:
+        times = [instant.time_ns for instant in store.frame_sets if camera_id in instant.frame_times_ns]
+        if times:
+            picks = np.unique(np.linspace(0, len(times) - 1, _TYPICAL_FRAMES).round().astype(int))
+            images[camera_id] = typical_image([store.image(camera_id, times[pick]) for pick in picks])
+    return images
+
+
+def _clustered(instant: AnnotatedInstant, rig: CameraRig) -> ClusteredInstant:
+    cluster_of = {
+        (camera_id, row): vehicle.obj_id for vehicle in instant.vehicles for camera_id, row in vehicle.views.items()
+    }
+    points, cameras, clusters = [np.empty((0, 2))], [], []
+    for number, (camera_id, camera) in enumerate(rig.items()):
+        if camera_id not in instant.detections:
+            continue
+        seen = instant.detections[camera_id]
+        of_box = [cluster_of.get((camera_id, row), -1) for row in range(len(seen))]
+        kept = [row for row, cluster in enumerate(of_box) if cluster >= 0]
+        points.append(ground_points(camera, seen)[kept])
+        cameras += [number] * len(kept)
+        clusters += [of_box[row] for row in kept]
+    return ClusteredInstant(
+        instant.time_ns / 1e9, np.concatenate(points), np.array(cameras, np.int64), np.array(clusters, np.int64)
+    )
+
+
+def _boxes(choice: Choice, predictions: Mapping[str, _ByFrame], timeline: LabelTimeline | None) -> BoxesInstant:
+    time_ns = choice.instant.time_ns
+    labelled = timeline.at(time_ns) if timeline is not None else None
+    named = {"label": labelled.vehicles.boxes} if labelled is not None else {}
+    for title, name in (("baseline", "baseline"), ("fine-tuned", "finetuned")):
+        of_cameras = [found.boxes for (time, _), found in predictions[name].items() if time == time_ns]
+        named[title] = np.concatenate([np.empty((0, 7)), *of_cameras])
+    return BoxesInstant(time_ns / 1e9, named)
+
+
+def _example(
+    choice: Choice,
+    store: FrameStore,
+    rig: CameraRig,
+    predictions: Mapping[str, _ByFrame],
+    timeline: LabelTimeline | None,
+) -> Example:
+    time_ns, camera_id = choice.instant.time_ns, choice.camera_id
+    views = [view for view in (camera_id, choice.other_id) if view is not None and store.has(view, time_ns)]
+    labelled = timeline.at(time_ns) if timeline is not None else None
+    return Example(
+        time_s=time_ns / 1e9,
+        camera_id=camera_id,
+        other_id=views[1] if len(views) > 1 else None,
+        cameras={view: rig[view] for view in views},
+        images={view: store.image(view, time_ns) for view in views},
+        baseline=_found(predictions["baseline"], time_ns, camera_id),
+        finetuned=_found(predictions["finetuned"], time_ns, camera_id),
+        labels=None if labelled is None else labelled.vehicles.boxes,
+    )
+
+
+def _found(predictions: _ByFrame, time_ns: int, camera_id: str) -> Array:
+    found = predictions.get((time_ns, camera_id))
+    return np.empty((0, 7)) if found is None else found.boxes
+
+
+def _stages(upstream: Mapping[str, Path], titles: Mapping[str, str]) -> tuple[StageRow, ...]:
+    rows = []
+    for stage, title in titles.items():
+        path = upstream[stage] / "manifest.json" if stage in upstream else None
+        if path is not None and path.is_file():
+            manifest = _json(path, Manifest)
+            rows.append(StageRow(title, manifest.digest, manifest.seconds))
+    return tuple(rows)
+
+
+def _options(metrics: Metrics, conflicts: Conflicts) -> tuple[tuple[str, str], ...]:
+    return tuple(
+        (f"{stage}.{name}", f"{value:g}")
+        for stage, options in (("evaluate", metrics.options), ("safety", conflicts.thresholds))
+        for name, value in options.items()
+    )

@@ -1,0 +1,184 @@
+"""Everything that a report shows, read and typed, before anything is drawn."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from wibam_core.geometry.camera import Camera
+from wibam_core.report.bev import BoxesInstant, ClusteredInstant
+from wibam_core.report.charts import Bars, Curve, Delay, Histogram
+from wibam_core.report.inputs import ConflictRow, Metrics
+from wibam_core.scene import CameraRig, Track
+
+Image = NDArray[np.uint8]
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Recording:
+    """One camera's file."""
+
+    camera_id: str
+    codec: str
+    width_px: int
+    height_px: int
+    fps: float
+    duration_s: float
+
+
+@dataclass(frozen=True)
+class ClockRow:
+    """One camera's clock against the reference; None where it is unknown.
+
+    Attributes:
+        offset_s: at the start of the camera's own clock, with its standard deviation ``offset_sd_s``.
+        drift_ppm: with its standard deviation ``drift_sd_ppm``.
+        changes: light changes that it shares with another camera.
+        rms_before_s, rms_after_s: root mean square delay to the reference.
+    """
+
+    camera_id: str
+    offset_s: float
+    offset_sd_s: float | None
+    drift_ppm: float
+    drift_sd_ppm: float | None
+    changes: int
+    rms_before_s: float | None
+    rms_after_s: float | None
+
+
+@dataclass(frozen=True)
+class Synchronisation:
+    """Clocks, delays of the light changes, and what a person must know about them."""
+
+    clocks: tuple[ClockRow, ...]
+    delays: tuple[Delay, ...]
+    warnings: tuple[str, ...]
+
+
+@dataclass(frozen=True)
+class CalibrationRow:
+    """One camera's residuals; None where there is no measured point to compare with.
+
+    Attributes:
+        kind: "matrices", "pnp" or "homography".
+        points: measured ones. rejected: of them, those that the camera does not rest on.
+        median_px, max_px: reprojection error. median_m: distance on the ground.
+        pixel_m: distance (from, to) in m -> how far a ground point there moves when its pixel is one off, m.
+    """
+
+    camera_id: str
+    kind: str
+    points: int
+    rejected: int
+    median_px: float | None
+    max_px: float | None
+    median_m: float | None
+    pixel_m: Mapping[tuple[float, float], float]
+
+
+@dataclass(frozen=True)
+class SubsetRow:
+    """One part of the annotation set: multi-view vehicles are counted at every instant, tracks once."""
+
+    name: str
+    instants: int
+    seconds: float
+    vehicles: int
+    boxes: int
+    tracks: int
+    left_out_tracks: int
+
+
+@dataclass(frozen=True)
+class Dataset:
+    """The automatic annotation set.
+
+    Attributes:
+        detected_boxes: 2D boxes at all instants. unassociated_share: of them, without a match in another view.
+        single_view: vehicles that one camera alone saw.
+        plots: distributions over the instants of all subsets.
+    """
+
+    detected_boxes: int
+    unassociated_share: float
+    single_view: int
+    subsets: tuple[SubsetRow, ...]
+    plots: tuple[Histogram | Bars, ...]
+
+
+@dataclass(frozen=True)
+class Training:
+    """How the network was taught: losses in all and by part, which step's weights were kept, and (what, value)."""
+
+    totals: tuple[Curve, ...]
+    parts: tuple[Curve, ...]
+    kept_step: int
+    facts: tuple[tuple[str, str], ...]
+
+
+@dataclass(frozen=True, eq=False)
+class Example:
+    """One frame that boxes were predicted in, and another view of the same instant to reproject them into.
+
+    Attributes:
+        time_s: since the start of the recording.
+        camera_id: the view that the network saw. other_id: a view that it did not see, or None.
+        cameras: camera id -> camera, of those two views.
+        images: camera id -> (H, W, 3), BGR, of those two views.
+        baseline, finetuned: (N, 7) boxes predicted in ``camera_id``. labels: (N, 7), or None without labels.
+    """
+
+    time_s: float
+    camera_id: str
+    other_id: str | None
+    cameras: Mapping[str, Camera]
+    images: Mapping[str, Image]
+    baseline: Array
+    finetuned: Array
+    labels: Array | None
+
+
+@dataclass(frozen=True)
+class StageRow:
+    """One stage of the job: hash of everything its output depends on, and how long it ran, where that is known."""
+
+    title: str
+    digest: str
+    seconds: float | None
+
+
+@dataclass(frozen=True, eq=False)
+class ReportData:
+    """What the report shows.
+
+    Attributes:
+        site_name: as the user wrote it.
+        version: of this software.
+        typical_images: camera id -> (H, W, 3), BGR, without what moves.
+        examples: pictures before and after. boxes: the same seen from above. clusters: rays of single instants.
+        options: (stage.option, value) as far as stages wrote them down.
+    """
+
+    site_name: str
+    version: str
+    rig: CameraRig
+    recordings: tuple[Recording, ...]
+    synchronisation: Synchronisation
+    calibration: tuple[CalibrationRow, ...]
+    dataset: Dataset
+    training: Training
+    metrics: Metrics
+    tracks: tuple[Track, ...]
+    conflicts: tuple[ConflictRow, ...]
+    conflict_thresholds: Mapping[str, float]
+    typical_images: Mapping[str, Image]
+    clusters: tuple[ClusteredInstant, ...]
+    boxes: tuple[BoxesInstant, ...]
+    examples: tuple[Example, ...]
+    stages: tuple[StageRow, ...]
+    options: tuple[tuple[str, str], ...]

@@ -1,0 +1,1 @@
+"""Surrogate safety measures on oriented footprints, one a module, and the conflicts that they find."""

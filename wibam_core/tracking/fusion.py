@@ -1,0 +1,117 @@
+"""One box per vehicle and instant from the detections of all cameras."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from wibam_core.geometry.se3 import normalise_angle
+from wibam_core.scene import CLASSES, Vehicles3D
+
+Array = NDArray[np.float64]
+Indices = NDArray[np.int64]
+
+#: Two cameras' detections of one vehicle lie within this, across the vehicle; along it as much more as the vehicle is
+#: longer than the reference length.
+RADIUS_M = 2.5
+REFERENCE_LENGTH_M = 4.5
+#: What errors that all views share (calibration, a bias of the network) leave at least.
+SD_FLOOR = np.array([0.15, 0.15, 0.08, 0.2, 0.08, 0.08, 0.05])
+#: Where a detection's own standard deviation is unknown.
+SD_UNKNOWN = np.array([0.6, 0.6, 0.2, 0.5, 0.2, 0.2, 0.25])
+
+
+@dataclass(frozen=True, eq=False)
+class Fused:
+    """Vehicles at one instant, seen by one or more cameras each.
+
+    Attributes:
+        boxes: (K, 7). sd: (K, 7), never NaN.
+        votes: (K, C) sum of the scores for each class of `CLASSES`.
+        headings: (K, 2) sum of the scores of the views that saw the vehicle head along the yaw, and against it.
+        views: (K,) number of cameras.
+    """
+
+    boxes: Array
+    sd: Array
+    votes: Array
+    headings: Array
+    views: Indices
+
+    def __len__(self) -> int:
+        return len(self.boxes)
+
+
+def fuse(detections: Sequence[Vehicles3D]) -> Fused:
+    """Cluster detections on the ground, at most one per camera in each cluster, and average each cluster.
+
+    Pairs are joined nearest first while every two of a cluster stay within reach (complete linkage). Numbers are
+    weighted by score over variance: a near camera knows the place better than a far one.
+
+    Args:
+        detections: one entry per camera, all moved to the same instant.
+    """
+    boxes = np.concatenate([np.empty((0, 7)), *(d.boxes for d in detections)])
+    sd = np.concatenate([np.empty((0, 7)), *(d.sd for d in detections)])
+    sd = np.hypot(np.where(np.isfinite(sd), sd, SD_UNKNOWN), SD_FLOOR)
+    scores = np.concatenate([np.empty(0), *(d.scores for d in detections)])
+    classes = np.concatenate([np.empty(0, np.int64), *(d.classes for d in detections)])
+    camera = np.repeat(np.arange(len(detections)), [len(d) for d in detections])
+    clusters = _cluster(boxes, camera)
+    merged = [_merge(boxes[rows], sd[rows], scores[rows], classes[rows]) for rows in clusters]
+    return Fused(
+        np.array([m[0] for m in merged]).reshape(-1, 7),
+        np.array([m[1] for m in merged]).reshape(-1, 7),
+        np.array([m[2] for m in merged]).reshape(-1, len(CLASSES)),
+        np.array([m[3] for m in merged]).reshape(-1, 2),
+        np.array([len(rows) for rows in clusters], np.int64),
+    )
+
+
+def ground_distance(a: Array, b: Array) -> Array:
+    """Distances (N, M) in m of centres of boxes a (N, 7) and b (M, 7), shortened along long vehicles.
+
+    Along the heading of b it counts as much less as the longer of the two exceeds the reference length: the centre
+    of a bus is less certain than that of a car.
+    """
+    offset = a[:, None, :2] - b[None, :, :2]
+    c, s = np.cos(b[:, 6]), np.sin(b[:, 6])
+    along = c * offset[..., 0] + s * offset[..., 1]
+    across = -s * offset[..., 0] + c * offset[..., 1]
+    length = np.maximum(a[:, None, 3], b[None, :, 3])
+    return np.hypot(along / np.maximum(1.0, length / REFERENCE_LENGTH_M), across)
+
+
+def _cluster(boxes: Array, camera: Indices) -> list[list[int]]:
+    distance = ground_distance(boxes, boxes)
+    distance = np.minimum(distance, distance.T)
+    allowed = (camera[:, None] != camera) & (distance <= RADIUS_M)
+    i, j = np.nonzero(np.triu(allowed, 1))
+    members: list[list[int]] = [[k] for k in range(len(boxes))]
+    for pair in np.argsort(distance[i, j], kind="stable"):
+        first, second = members[i[pair]], members[j[pair]]
+        if first is second or not allowed[np.ix_(first, second)].all():
+            continue
+        first.extend(second)
+        for k in second:
+            members[k] = first
+    return [sorted(rows) for k, rows in enumerate(members) if min(rows) == k]
+
+
+def _merge(boxes: Array, sd: Array, scores: Array, classes: Indices) -> tuple[Array, Array, Array, Array]:
+    weights = scores[:, None] / sd**2
+    box = (weights * boxes).sum(axis=0) / weights.sum(axis=0)
+    axis = 0.5 * np.arctan2(
+        (weights[:, 6] * np.sin(2 * boxes[:, 6])).sum(), (weights[:, 6] * np.cos(2 * boxes[:, 6])).sum()
+    )
+    forward = np.cos(boxes[:, 6] - axis) >= 0
+    headings = np.array([scores[forward].sum(), scores[~forward].sum()])
+    if headings[1] > headings[0]:
+        axis, headings = axis + np.pi, headings[::-1]
+    box[6] = normalise_angle(axis)
+    spread = np.sqrt(np.sum(scores) / np.maximum(weights.sum(axis=0), 1e-12) / len(scores))
+    votes = np.bincount(classes, weights=scores, minlength=len(CLASSES)).astype(np.float64)
+    return box, np.maximum(spread, SD_FLOOR), votes, headings

@@ -1,0 +1,44 @@
+"""Tracks from one camera's recording."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator
+
+import numpy as np
+from numpy.typing import NDArray
+
+from wibam_core.config import TrackConfig
+from wibam_core.geometry.camera import Camera
+from wibam_core.models.decode import Decode
+from wibam_core.models.inference import Frame, predict
+from wibam_core.models.small import SmallNetwork
+from wibam_core.scene import Track
+from wibam_core.tracking.tracker import Tracker
+
+
+def track_recording(
+    network: SmallNetwork,
+    images: Iterable[tuple[int, NDArray[np.uint8]]],
+    camera: Camera,
+    config: TrackConfig,
+    *,
+    decode: Decode = "plane",
+) -> list[Track]:
+    """Detect in each image and track.
+
+    Args:
+        network: the 3D detector.
+        images: (time in ns, BGR image (H, W, 3) uint8), in order of time; ``config.rate_hz`` is the caller's.
+        camera: of the recording; any size with the images' aspect ratio.
+        config: thresholds.
+        decode: how boxes are placed along the ray.
+    """
+    tracker = Tracker(config)
+
+    def frames() -> Iterator[Frame]:
+        for time_ns, image in images:
+            yield Frame(image, camera, "camera", time_ns)
+
+    for found in predict(network, frames(), decode=decode, min_score=config.min_score):
+        tracker.step(found.time_ns, [found])
+    return tracker.tracks()

@@ -1,0 +1,42 @@
+"""Rauch–Tung–Striebel smoothing: every state from all measurements, earlier and later."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from itertools import pairwise
+
+import numpy as np
+from numpy.typing import NDArray
+
+from wibam_core.geometry.se3 import normalise_angle
+from wibam_core.tracking.motion import YAW, Belief, Measurement, first_belief, predict, update
+
+
+def smooth(times_ns: NDArray[np.int64], measurements: Mapping[int, Measurement], axle_m: float) -> list[Belief]:
+    """Smoothed beliefs at ``times_ns`` (ascending), the first of which was measured.
+
+    Args:
+        times_ns: instants; those without a measurement are bridged.
+        measurements: by instant.
+        axle_m: from the rear axle to the centre.
+    """
+    belief = first_belief(measurements[int(times_ns[0])], axle_m)
+    filtered, predicted, steps = [belief], [belief], [np.eye(5)]
+    for before, now in pairwise(times_ns):
+        expected, F = predict(belief, float(now - before) * 1e-9)
+        measurement = measurements.get(int(now))
+        belief = expected if measurement is None else update(expected, measurement, axle_m)
+        filtered.append(belief)
+        predicted.append(expected)
+        steps.append(F)
+    smoothed = [filtered[-1]]
+    for k in range(len(filtered) - 2, -1, -1):
+        ahead = predicted[k + 1]
+        gain = np.linalg.solve(ahead.covariance, steps[k + 1] @ filtered[k].covariance).T
+        difference = smoothed[-1].mean - ahead.mean
+        difference[YAW] = normalise_angle(difference[YAW])
+        mean = filtered[k].mean + gain @ difference
+        mean[YAW] = normalise_angle(mean[YAW])
+        covariance = filtered[k].covariance + gain @ (smoothed[-1].covariance - ahead.covariance) @ gain.T
+        smoothed.append(Belief(mean, 0.5 * (covariance + covariance.T)))
+    return smoothed[::-1]

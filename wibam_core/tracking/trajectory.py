@@ -1,0 +1,111 @@
+"""From the boxes that belong to one vehicle to its smooth 7DoF track."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from wibam_core.geometry.se3 import normalise_angle
+from wibam_core.scene import CLASSES, Track
+from wibam_core.tracking.fusion import SD_FLOOR
+from wibam_core.tracking.motion import AXLE_SHARE, CURVATURE, SPEED, YAW, Belief, Measurement, centre
+from wibam_core.tracking.smoother import smooth
+
+Array = NDArray[np.float64]
+
+#: A vehicle that drove at least this far shows by its motion where its front is.
+_MIN_DRIVEN_M = 2.0
+#: A camera errs alike in one frame and the next, which the smoother takes for independent: its variances are too
+#: small by about this factor where half of the errors' variance persists (benchmarks/tracking.py).
+_CORRELATION = 3.0
+
+
+@dataclass(frozen=True, eq=False)
+class Hit:
+    """A vehicle's fused box at one instant.
+
+    Attributes:
+        box, sd: (7,). votes: (C,) by class. headings: (2,) votes for the box's yaw and for the opposite one.
+    """
+
+    time_ns: int
+    box: Array
+    sd: Array
+    votes: Array
+    headings: Array
+
+
+def to_track(track_id: int, hits: Sequence[Hit], instants: NDArray[np.int64]) -> Track:
+    """Smooth one vehicle's boxes (in time order), with a state at each of the instants from the first to the last box.
+
+    It has one size, the weighted median over time, and stands on the ground. Its front is where its motion says; for
+    one that hardly moved, where most views saw it.
+    """
+    size, size_sd = _size(hits)
+    axle_m = AXLE_SHARE * float(size[0])
+    times = instants[(instants >= hits[0].time_ns) & (instants <= hits[-1].time_ns)]
+    measured = {hit.time_ns: Measurement(hit.time_ns, hit.box[[0, 1, 6]], hit.sd[[0, 1, 6]]) for hit in hits}
+    beliefs = smooth(times, measured, axle_m)
+    if _is_reversed(beliefs, times, hits):
+        first = measured[int(times[0])]
+        turned = np.array([*first.value[:2], beliefs[0].mean[YAW] + np.pi])
+        beliefs = smooth(times, {**measured, first.time_ns: Measurement(first.time_ns, turned, first.sd)}, axle_m)
+    return _assemble(track_id, hits, times, beliefs, size, size_sd, axle_m)
+
+
+def _assemble(
+    track_id: int,
+    hits: Sequence[Hit],
+    times: NDArray[np.int64],
+    beliefs: Sequence[Belief],
+    size: Array,
+    size_sd: Array,
+    axle_m: float,
+) -> Track:
+    n = len(times)
+    means = np.array([belief.mean for belief in beliefs])
+    boxes, sd = np.empty((n, 7)), np.empty((n, 7))
+    for k, belief in enumerate(beliefs):
+        place, H = centre(belief, axle_m)
+        covariance = H @ belief.covariance @ H.T
+        boxes[k] = [place[0], place[1], size[2] / 2, *size, normalise_angle(place[2])]
+        sd[k, [0, 1, 6]] = np.sqrt(_CORRELATION * np.maximum(np.diag(covariance), 0.0))
+    sd[:, 2], sd[:, 3:6] = size_sd[2] / 2, size_sd
+    c, s = np.cos(means[:, YAW]), np.sin(means[:, YAW])
+    yaw_rate = means[:, SPEED] * means[:, CURVATURE]
+    velocities = np.stack(
+        [means[:, SPEED] * c - axle_m * yaw_rate * s, means[:, SPEED] * s + axle_m * yaw_rate * c], axis=1
+    )
+    votes = np.sum([hit.votes for hit in hits], axis=0)
+    return Track(
+        track_id, CLASSES[int(np.argmax(votes))], times, boxes, np.maximum(sd, SD_FLOOR / 3), velocities, yaw_rate
+    )
+
+
+def _size(hits: Sequence[Hit]) -> tuple[Array, Array]:
+    """Weighted median of length, width and height (3,), and its standard deviation (3,)."""
+    sizes = np.array([hit.box[3:6] for hit in hits])
+    weights = 1.0 / np.array([hit.sd[3:6] for hit in hits]) ** 2
+    order = np.argsort(sizes, axis=0)
+    cumulative = np.cumsum(np.take_along_axis(weights, order, axis=0), axis=0)
+    middle = (cumulative >= 0.5 * cumulative[-1]).argmax(axis=0)
+    median = np.take_along_axis(sizes, order, axis=0)[middle, np.arange(3)]
+    spread = 1.4826 * np.median(np.abs(sizes - median), axis=0)
+    return median, np.hypot(spread / np.sqrt(len(hits)), SD_FLOOR[3:6])
+
+
+def _is_reversed(beliefs: Sequence[Belief], times: NDArray[np.int64], hits: Sequence[Hit]) -> bool:
+    """Whether the smoothed yaw points to the vehicle's rear."""
+    speeds = np.array([belief.mean[SPEED] for belief in beliefs])
+    driven = float(np.sum(0.5 * (speeds[1:] + speeds[:-1]) * np.diff(times) * 1e-9))
+    if abs(driven) >= _MIN_DRIVEN_M:
+        return driven < 0
+    along = 0.0
+    yaws = dict(zip(times.tolist(), (belief.mean[YAW] for belief in beliefs), strict=True))
+    for hit in hits:
+        agrees = np.cos(hit.box[6] - yaws[hit.time_ns]) >= 0
+        along += float(hit.headings[0] - hit.headings[1]) * (1.0 if agrees else -1.0)
+    return along < 0
