@@ -1,0 +1,162 @@
+"""The stages' own part: which frames, at which times, into which files. The network is replaced by an oracle."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterable, Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from tests.builders import corner_rig, site_of
+from wibam_core.config import EvaluateConfig, TrackConfig
+from wibam_core.errors import TooFewInstants
+from wibam_core.evaluation.metrics import METRICS
+from wibam_core.formats.annotations import write_annotations
+from wibam_core.formats.framestore import FrameStoreWriter
+from wibam_core.formats.labels import write_labels
+from wibam_core.formats.rig import write_rig
+from wibam_core.formats.tracks import read_tracks
+from wibam_core.formats.vehicles3d import read_vehicles3d
+from wibam_core.geometry.projection import project_boxes
+from wibam_core.models.inference import Frame
+from wibam_core.models.small import SmallNetwork
+from wibam_core.models.weights import save_network
+from wibam_core.progress import silent
+from wibam_core.scene import (
+    AnnotatedInstant,
+    Detections2D,
+    FrameSet,
+    LabelledInstant,
+    MultiViewVehicle,
+    VehicleClass,
+    Vehicles3D,
+)
+from wibam_core.stages import evaluate, track
+from wibam_core.stages.base import StageContext
+
+RIG = corner_rig(2)
+PERIOD_NS = 80_000_000
+INSTANTS = [k * PERIOD_NS for k in range(26)]
+TEST = INSTANTS[16:]
+#: The cameras expose after and before the instant; at 12 m/s that is 0.4 m.
+LATE_NS = {"cam1": 35_000_000, "cam2": -30_000_000}
+
+
+def truth(time_ns: int) -> np.ndarray:
+    """One vehicle that drives and one that stands."""
+    return np.array([[-12 + 12 * time_ns * 1e-9, -2, 0.75, 4.5, 1.8, 1.5, 0.0], [3.0, 5.0, 0.75, 4.2, 1.8, 1.5, 1.2]])
+
+
+def oracle(network: Any, frames: Iterable[Frame], *, decode: str, min_score: float, **_: Any) -> Iterator[Vehicles3D]:
+    """What stands in each frame when it is exposed, larger by a tenth under depth decoding."""
+    for frame in frames:
+        boxes = truth(frame.time_ns + LATE_NS[frame.camera_id])
+        if decode == "depth":
+            boxes[:, 3] *= 1.1
+        assert frame.image[0, 0, 0] == pytest.approx(frame.time_ns // PERIOD_NS * 9, abs=4)
+        yield Vehicles3D.of(frame.time_ns, boxes, scores=np.full(2, 0.9), camera_id=frame.camera_id)
+
+
+@pytest.fixture
+def context(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> StageContext:
+    folders = {name: tmp_path / name for name in ("calibrate", "frames", "associate", "dataset", "finetune", "out")}
+    for folder in folders.values():
+        folder.mkdir()
+    write_rig(folders["calibrate"] / "rig.json", RIG)
+    writer = FrameStoreWriter(folders["frames"], 95)
+    for k, time in enumerate(INSTANTS):
+        for camera_id in RIG:
+            writer.add(camera_id, time, time + LATE_NS[camera_id], np.full((36, 64, 3), 9 * k, np.uint8))
+    writer.close()
+    annotated = []
+    for time in INSTANTS:
+        detections = {
+            id_: Detections2D(id_, time, project_boxes(camera, truth(time)), np.ones(2), np.zeros(2, int))
+            for id_, camera in RIG.items()
+        }
+        vehicles = tuple(MultiViewVehicle(i, i, VehicleClass.CAR, 0.0, 0.0, dict.fromkeys(RIG, i)) for i in range(2))
+        annotated.append(AnnotatedInstant(time, detections, vehicles))
+    write_annotations(folders["associate"] / "annotations.parquet", annotated)
+    (folders["dataset"] / "split.json").write_text(json.dumps({"train": INSTANTS[:10], "val": [], "test": TEST}))
+    save_network(SmallNetwork(), folders["finetune"] / "weights.safetensors")
+    (folders["finetune"] / "curves.json").write_text(json.dumps({"decode": "plane"}))
+    labels = tmp_path / "labels"  # without a suffix, as an uploaded file may be stored
+    write_labels(
+        labels,
+        [
+            LabelledInstant(Vehicles3D.of(time, truth(time), ids=np.array([1, 2])), {id_: np.ones(2) for id_ in RIG})
+            for time in [*INSTANTS, INSTANTS[-1] + PERIOD_NS]
+        ],
+    )
+    monkeypatch.setattr(evaluate, "predict", oracle)
+    monkeypatch.setattr(track, "predict", oracle)
+    upstream = {name: folder for name, folder in folders.items() if name != "out"}
+    return StageContext(site_of(RIG), {}, {"labels": labels}, upstream, folders["out"], tmp_path, silent)
+
+
+def test_frames_are_compared_with_labels_at_the_time_they_were_exposed(context: StageContext) -> None:
+    summary = evaluate.run(context, EvaluateConfig())
+    metrics = json.loads((context.output / "metrics.json").read_text())
+    for name in ("baseline", "finetuned"):
+        assert metrics[name]["ate_m"]["mean"] == pytest.approx(0, abs=1e-6)
+        assert metrics[name]["bev_iou"]["mean"] == pytest.approx(1)
+        assert metrics[name]["recall"]["mean"] == 1
+        assert (metrics[name]["matched"], metrics[name]["missed"]) == (2 * len(TEST) * 2, 0)
+    assert metrics["baseline_depth"]["ase"]["mean"] == pytest.approx(1 - 1 / 1.1)
+    assert metrics["labels"] == summary["labels"] == "hand"
+    assert metrics["paper_compat"]["finetuned"]["iou_3d"]["mean"] == pytest.approx(0.75)
+    assert set(metrics["significance"]) == set(METRICS)
+    assert metrics["by_visibility"]["finetuned"][0]["matched"] == 2 * len(TEST) * 2
+    # the other view's box was not moved to this view's time: the honest share of the difference stays
+    assert 0.8 < metrics["self_consistency"]["finetuned"]["other_views"]["mean"] < 1
+
+
+def test_predictions_are_kept_at_the_instants_of_the_test_part_alone(context: StageContext) -> None:
+    evaluate.run(context, EvaluateConfig())
+    for name in ("baseline", "finetuned"):
+        kept = read_vehicles3d(context.output / f"predictions_{name}.parquet")
+        assert {v.time_ns for v in kept} == set(TEST)
+        assert {v.camera_id for v in kept} == set(RIG)
+
+
+def test_without_labels_the_views_are_compared_with_each_other_alone(context: StageContext) -> None:
+    context.assets.pop("labels")  # type: ignore[attr-defined]
+    summary = evaluate.run(context, EvaluateConfig())
+    metrics = json.loads((context.output / "metrics.json").read_text())
+    assert metrics["labels"] == summary["labels"] == "none"
+    assert metrics["finetuned"] is metrics["significance"] is metrics["by_distance"] is None
+    assert metrics["self_consistency"]["finetuned"]["pairs"] > 0
+
+
+def test_labels_of_another_part_of_the_recording_count_as_none(context: StageContext, tmp_path: Path) -> None:
+    early = [LabelledInstant(Vehicles3D.of(0, truth(0)), {"cam1": np.ones(2)})]
+    write_labels(tmp_path / "early.json", early)
+    context.assets["labels"] = tmp_path / "early.json"  # type: ignore[index]
+    assert evaluate.run(context, EvaluateConfig())["labels"] == "none"
+
+
+def test_an_empty_test_part_is_too_few_instants(context: StageContext) -> None:
+    (context.upstream["dataset"] / "split.json").write_text(json.dumps({"train": INSTANTS, "val": [], "test": []}))
+    with pytest.raises(TooFewInstants):
+        evaluate.run(context, EvaluateConfig())
+
+
+def test_tracks_are_at_the_instants_although_frames_are_not(context: StageContext) -> None:
+    summary = track.run(context, TrackConfig(rate_hz=6.25))
+    tracks = read_tracks(context.output / "tracks.parquet")
+    assert summary == {"tracks": 2, "instants": 13, "by_class": {"car": 2}}
+    (driving,) = (t for t in tracks if np.hypot(*t.velocities_mps[-1]) > 5)
+    assert driving.times_ns.tolist() == INSTANTS[::2]
+    want = np.array([truth(t)[0, 0] for t in INSTANTS[::2]])
+    np.testing.assert_allclose(driving.boxes[3:, 0], want[3:], atol=0.15)
+    assert driving.velocities_mps[-1] == pytest.approx([12, 0], abs=0.3)
+
+
+@pytest.mark.parametrize(("rate", "kept"), [(12.5, 26), (6.25, 13), (5.0, 11), (100.0, 26), (1.0, 3)])
+def test_instants_are_thinned_to_the_rate(rate: float, kept: int) -> None:
+    thinned = track.thin([FrameSet(t, {}) for t in INSTANTS], rate)
+    assert len(thinned) == kept
+    assert thinned[0].time_ns == 0

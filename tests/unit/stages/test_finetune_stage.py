@@ -1,0 +1,60 @@
+"""The fine-tuning stage from files to files."""
+
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+import torch
+
+from tests.builders import site_of
+from tests.site_dataset import tiny_rig, tiny_site
+from wibam_core.config import FinetuneConfig
+from wibam_core.dataset.split import Split
+from wibam_core.formats.annotations import write_annotations
+from wibam_core.formats.rig import write_rig
+from wibam_core.formats.vehicles3d import write_vehicles3d
+from wibam_core.models.weights import load_network
+from wibam_core.progress import silent
+from wibam_core.stages import finetune
+from wibam_core.stages.base import StageContext
+
+
+def context_of(folder: Path) -> StageContext:
+    upstream = {name: folder / name for name in ("calibrate", "frames", "associate", "dataset", "lift")}
+    for path in upstream.values():
+        path.mkdir()
+    site = tiny_site(upstream["frames"])
+    write_rig(upstream["calibrate"] / "rig.json", site.rig)
+    write_annotations(upstream["associate"] / "annotations.parquet", site.instants)
+    write_vehicles3d(upstream["lift"] / "lifts.parquet", site.lifts)
+    times = tuple(instant.time_ns for instant in site.instants)
+    nobody: frozenset[int] = frozenset()
+    split = Split(
+        {"train": times[:2], "val": times[2:3], "test": times[3:]},
+        {"train": frozenset({8}), "val": nobody, "test": nobody},
+    )
+    (upstream["dataset"] / "split.json").write_text(json.dumps(split.to_json()))
+    (folder / "output").mkdir()
+    (folder / "scratch").mkdir()
+    return StageContext(site_of(tiny_rig()), {}, {}, upstream, folder / "output", folder / "scratch", silent)
+
+
+def test_writes_weights_and_curves(tmp_path: Path) -> None:
+    torch.set_num_threads(1)
+    context = context_of(tmp_path)
+    config = FinetuneConfig(steps=2, steps_per_epoch=1, batch_size=2)
+    summary = finetune.run(context, config)
+    load_network(context.output / "weights.safetensors")
+    curves = json.loads((context.output / "curves.json").read_text())
+    assert curves["decode"] == "plane"
+    assert [epoch["step"] for epoch in curves["epochs"]] == [1, 2]
+    assert all({"heat", "yaw", "total"} <= epoch["validation"].keys() for epoch in curves["epochs"])
+    assert summary["train_frames"] == 6
+    assert summary["validation_frames"] == 3
+    assert summary["labels_3d"] == 6  # one of the two vehicles is left out of the training part
+    assert summary["boxes_2d"] == 12
+    # a killed attempt left its checkpoint: the next one has nothing left to train
+    again = replace(context, output=tmp_path / "again")
+    again.output.mkdir()
+    assert finetune.run(again, config)["last_loss"] == pytest.approx(summary["last_loss"], abs=1e-9)

@@ -1,0 +1,69 @@
+"""The pipeline's graph: order, addresses, and what changes them."""
+
+from __future__ import annotations
+
+import pytest
+
+from tests.builders import site_of
+from wibam_core.config import PipelineConfig
+from wibam_core.errors import UnknownOption
+from wibam_core.stages.graph import STAGES, InputDigests, downstream, plan
+
+DIGESTS = InputDigests({"cam1": "a", "cam2": "b", "cam3": "c", "cam4": "d"}, {"labels": "e"})
+
+
+def changed(**options: dict[str, object]) -> set[str]:
+    """Stages whose outputs get another address through options."""
+    before = plan(site_of(), PipelineConfig(), DIGESTS)
+    after = plan(site_of(), PipelineConfig.parse(options), DIGESTS)
+    return {a.name for a, b in zip(after, before, strict=True) if a.digest != b.digest}
+
+
+def test_every_stage_comes_after_those_it_requires_and_has_options() -> None:
+    seen: set[str] = set()
+    for name, spec in STAGES.items():
+        assert set(spec.requires) <= seen
+        spec.config(PipelineConfig())
+        seen.add(name)
+
+
+def test_the_same_inputs_give_the_same_addresses() -> None:
+    assert plan(site_of(), PipelineConfig(), DIGESTS) == plan(site_of(), PipelineConfig(), DIGESTS)
+
+
+def test_an_option_changes_its_stage_and_all_after_it_alone() -> None:
+    assert changed(finetune={"steps": 17}) == {"finetune", "evaluate", "track", "safety", "report"}
+    assert changed(safety={"ttc_s": 2.5}) == {"safety", "report"}
+    assert changed(sync={"method": "none"}) == set(STAGES) - {"preflight", "calibrate"}
+
+
+def test_labels_only_change_what_evaluates() -> None:
+    without = InputDigests(DIGESTS.recordings, {})
+    before, after = (plan(site_of(), PipelineConfig(), d) for d in (DIGESTS, without))
+    assert {a.name for a, b in zip(after, before, strict=True) if a.digest != b.digest} == {"evaluate", "report"}
+
+
+def test_a_new_recording_changes_everything_that_looks_at_videos() -> None:
+    other = InputDigests({**DIGESTS.recordings, "cam2": "x"}, DIGESTS.assets)
+    before, after = (plan(site_of(), PipelineConfig(), d) for d in (DIGESTS, other))
+    assert all(a.digest != b.digest for a, b in zip(after, before, strict=True))
+
+
+def test_renaming_the_site_changes_the_report_alone() -> None:
+    before = plan(site_of(), PipelineConfig(), DIGESTS)
+    after = plan(site_of(name="elsewhere"), PipelineConfig(), DIGESTS)
+    assert {a.name for a, b in zip(after, before, strict=True) if a.digest != b.digest} == {"report"}
+
+
+def test_downstream_follows_the_graph() -> None:
+    assert downstream("track") == ("track", "safety", "report")
+    assert downstream("preflight") == tuple(STAGES)
+    with pytest.raises(UnknownOption, match="no stage 'paint'"):
+        downstream("paint")
+
+
+def test_unknown_options_are_named() -> None:
+    with pytest.raises(UnknownOption, match=r"finetune\.stepz: there is no such option"):
+        PipelineConfig.parse({"finetune": {"stepz": 3}})
+    with pytest.raises(UnknownOption, match=r"finetune\.steps"):
+        PipelineConfig.parse({"finetune": {"steps": -3}})

@@ -1,0 +1,276 @@
+"""The stages that read recordings, on real H.264 files: preflight, frames, detect."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from wibam_core.config import DetectConfig, FramesConfig, PreflightConfig
+from wibam_core.detection.boxes import Found
+from wibam_core.errors import Cancelled, InputError, MissingCamera, NoOverlap, NoVehicles, UnreadableVideo
+from wibam_core.formats.annotations import read_annotations
+from wibam_core.formats.clocks import write_clocks
+from wibam_core.formats.framestore import FrameStore, FrameStoreWriter
+from wibam_core.progress import silent
+from wibam_core.scene import ClockMap
+from wibam_core.site import HomographyCalibration, Site, SiteCamera
+from wibam_core.stages import detect, frames, preflight
+from wibam_core.stages.base import StageContext
+from wibam_core.video.encode import VideoWriter
+
+S = 10**9
+WIDTH, HEIGHT = 128, 72
+#: The picture tells the true time: its grey level is 20 and 2 more for every 40 ms.
+STEP_NS = 40_000_000
+
+
+def picture(true_ns: int) -> np.ndarray:
+    return np.full((HEIGHT, WIDTH, 3), 20 + 2 * round(true_ns / STEP_NS), np.uint8)
+
+
+def true_time_ns(image: np.ndarray) -> float:
+    return (float(image.mean()) - 20) / 2 * STEP_NS
+
+
+def record(path: Path, clock: ClockMap, first_ns: int, last_ns: int, dropped: frozenset[int] = frozenset()) -> Path:
+    """25 fps of the world from ``first_ns`` to ``last_ns`` (reference clock), stamped with the camera's own clock."""
+    with VideoWriter(path, WIDTH, HEIGHT, 25.0, 10) as writer:
+        for number, true_ns in enumerate(range(first_ns, last_ns + 1, STEP_NS)):
+            if number not in dropped:
+                writer.write(picture(true_ns), int(clock.to_local_ns(true_ns)))
+    return path
+
+
+def site(camera_ids: tuple[str, ...], width_px: int = WIDTH, height_px: int = HEIGHT) -> Site:
+    calibration = HomographyCalibration(correspondences=())
+    return Site(
+        name="test",
+        cameras=tuple(
+            SiteCamera(id=id_, width_px=width_px, height_px=height_px, calibration=calibration) for id_ in camera_ids
+        ),
+    )
+
+
+class Run:
+    """Runs stages one after the other in a folder."""
+
+    def __init__(self, folder: Path, recordings: Mapping[str, Path], camera_ids: tuple[str, ...] = ()) -> None:
+        self.folder = folder
+        self.recordings = recordings
+        self.site = site(camera_ids or tuple(recordings))
+
+    def context(self, name: str, **extra: object) -> StageContext:
+        output = self.folder / name
+        output.mkdir()
+        upstream = {part.name: part for part in self.folder.iterdir() if part.is_dir()}
+        fields = {"assets": {}, "progress": silent, **extra}
+        return StageContext(
+            site=self.site, recordings=self.recordings, upstream=upstream, output=output, scratch=self.folder, **fields
+        )
+
+    def preflight(self, **options: float) -> dict:
+        return preflight.run(self.context("preflight"), PreflightConfig(**options))
+
+    def frames(self, clocks: Mapping[str, ClockMap], **options: float) -> tuple[dict, FrameStore]:
+        (self.folder / "sync").mkdir()
+        write_clocks(self.folder / "sync" / "clocks.json", clocks)
+        summary = frames.run(self.context("frames"), FramesConfig(**options))
+        return summary, FrameStore(self.folder / "frames")
+
+
+CLOCKS = {
+    "a": ClockMap(),
+    "b": ClockMap(offset_ns=-1_237_000_000, drift=4e-4),
+    "c": ClockMap(offset_ns=733_000_001, drift=-2e-4),
+}
+
+
+@pytest.fixture
+def three(tmp_path: Path) -> Run:
+    """a: 1–4 s with 4 frames dropped around 2 s; b: 0–3 s; c: 1.48–3.96 s."""
+    videos = tmp_path / "videos"
+    videos.mkdir()
+    recordings = {
+        "a": record(videos / "a.mp4", CLOCKS["a"], S, 4 * S, frozenset(range(23, 27))),
+        "b": record(videos / "b.mp4", CLOCKS["b"], 0, 3 * S),
+        "c": record(videos / "c.mp4", CLOCKS["c"], 37 * STEP_NS, 4 * S - 1),
+    }
+    folder = tmp_path / "stages"
+    folder.mkdir()
+    return Run(folder, recordings)
+
+
+def test_preflight_writes_what_the_recordings_are(three: Run) -> None:
+    summary = three.preflight(min_overlap_s=2)
+    probed = json.loads((three.folder / "preflight" / "probe.json").read_text())
+    assert list(probed) == ["a", "b", "c"]
+    assert (probed["b"]["codec"], probed["b"]["width_px"], probed["b"]["height_px"]) == ("h264", WIDTH, HEIGHT)
+    assert probed["b"]["first_ns"] == pytest.approx(int(CLOCKS["b"].to_local_ns(0)), abs=6_000)
+    assert summary["shortest_s"] == pytest.approx(2.5 + 0.04, abs=0.03)
+    assert summary["warnings"] == []
+    json.dumps(summary)
+
+
+def test_preflight_names_every_camera_without_a_recording(three: Run) -> None:
+    run = Run(three.folder, three.recordings, ("a", "north", "b", "south"))
+    with pytest.raises(MissingCamera, match="north, south"):
+        run.preflight()
+
+
+def test_preflight_names_the_camera_of_a_broken_recording(three: Run) -> None:
+    three.recordings["b"].write_text("no film")
+    with pytest.raises(UnreadableVideo, match=r"camera b: b\.mp4 is not a video"):
+        three.preflight(min_overlap_s=0)
+
+
+def test_preflight_refuses_another_size_than_the_calibrations(three: Run) -> None:
+    three.site = site(("a", "b", "c"), 1280, 720)
+    with pytest.raises(InputError, match="camera a is 128x72 px, but the site says 1280x720 px"):
+        three.preflight()
+
+
+def test_preflight_refuses_recordings_too_short_to_overlap(three: Run) -> None:
+    with pytest.raises(NoOverlap, match=r"camera a lasts 3\.0 s.* at least 5 s"):
+        three.preflight(min_overlap_s=5)
+
+
+def test_frames_show_the_same_moment_in_every_camera(three: Run) -> None:
+    three.preflight(min_overlap_s=1)
+    summary, store = three.frames(CLOCKS, rate_hz=12.5)
+    period_ns = 80_000_000
+    times = [frame_set.time_ns for frame_set in store.frame_sets]
+    assert times == list(range(13 * period_ns, 50 * period_ns, period_ns))  # c ends at 3.96 s
+    for frame_set in store.frame_sets:
+        for camera_id, frame_time_ns in frame_set.frame_times_ns.items():
+            assert abs(frame_time_ns - frame_set.time_ns) <= 40_000_000
+            shown_ns = true_time_ns(store.image(camera_id, frame_set.time_ns))
+            assert shown_ns == pytest.approx(frame_time_ns, abs=0.55 * STEP_NS)
+    assert summary["instants"] == len(times)
+    assert summary["frames"] == {c: sum(c in s.frame_times_ns for s in store.frame_sets) for c in "abc"}
+    assert store.native_size("a") == (WIDTH, HEIGHT)
+    json.dumps(summary)
+
+
+def test_frames_that_were_dropped_or_not_recorded_are_absent(three: Run) -> None:
+    three.preflight(min_overlap_s=1)
+    _, store = three.frames(CLOCKS, rate_hz=12.5)
+    without_a = {s.time_ns for s in store.frame_sets if "a" not in s.frame_times_ns}
+    # frames 23 to 26 are those at 1.92 to 2.04 s: nothing is within 40 ms of 1.92 (but 1.88 is) and 2.0 s
+    assert without_a == {2_000_000_000}
+    assert all("b" not in s.frame_times_ns for s in store.frame_sets if s.time_ns > 3_040_000_000)
+    assert all("c" not in s.frame_times_ns for s in store.frame_sets if s.time_ns < 1_430_000_000)
+
+
+def test_one_camera_alone_keeps_all_its_instants(three: Run) -> None:
+    run = Run(three.folder, {"b": three.recordings["b"]})
+    run.preflight(min_overlap_s=1)
+    _, store = run.frames({"b": CLOCKS["b"]}, rate_hz=5.0)
+    assert [s.time_ns for s in store.frame_sets] == list(range(0, 3 * S + 1, 200_000_000))
+
+
+def test_frames_wider_than_wanted_are_shrunk_once(three: Run) -> None:
+    three.preflight(min_overlap_s=1)
+    _, store = three.frames(CLOCKS, rate_hz=2.5, width_px=64)
+    assert (store.size("a"), store.native_size("a")) == ((64, 36), (WIDTH, HEIGHT))
+
+
+def test_frames_of_recordings_that_do_not_overlap_are_refused(three: Run) -> None:
+    three.preflight(min_overlap_s=1)
+    apart = {"a": ClockMap(), "b": ClockMap(100 * S), "c": ClockMap(-100 * S)}
+    with pytest.raises(NoOverlap, match=r"they span a 1\.0 to 4\.0 s; b") as caught:
+        three.frames(apart)
+    assert caught.value.details["spans_ns"]["a"][0] == S
+
+
+def test_frames_stop_when_their_progress_is_refused(three: Run) -> None:
+    three.preflight(min_overlap_s=1)
+    (three.folder / "sync").mkdir()
+    write_clocks(three.folder / "sync" / "clocks.json", CLOCKS)
+
+    def cancel(fraction: float, message: str = "", **figures: float) -> None:
+        raise Cancelled("stopped")
+
+    with pytest.raises(Cancelled):
+        frames.run(three.context("frames", progress=cancel), FramesConfig(rate_hz=25))
+    with pytest.raises(InputError):
+        FrameStore(three.folder / "frames")
+
+
+class BrightSpots:
+    """Finds the bright blob of an image, as a truck."""
+
+    def detect(self, image_bgr: np.ndarray) -> Found:
+        rows, columns = np.nonzero(image_bgr[..., 0] > 200)
+        if not len(rows):
+            return Found(np.empty((0, 4)), np.empty(0), np.empty(0, np.int64))
+        box = np.array([[columns.min() - 0.5, rows.min() - 0.5, columns.max() + 0.5, rows.max() + 0.5]])
+        return Found(box, np.array([0.75]), np.array([2]))
+
+
+def stored(folder: Path, spots: bool) -> None:
+    """Frames of 64x36 px of a 128x72 px recording; camera a has a spot that moves, b has none."""
+    with FrameStoreWriter(folder, 95) as writer:
+        for i in range(40):
+            image = np.zeros((36, 64, 3), np.uint8)
+            if spots:
+                image[8:16, i : i + 16] = 255
+            writer.add("a", i * S, i * S + 3, image)
+            if i % 2:
+                writer.add("b", i * S, i * S - 2, np.zeros((36, 64, 3), np.uint8))
+        writer.close({"a": (128, 72), "b": (128, 72)})
+
+
+def test_convention_detections_are_in_pixels_of_the_recording(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(detect, "load_detector", lambda path, **options: BrightSpots())
+    stored(tmp_path / "frames", spots=True)
+    seen: list[float] = []
+    run = Run(tmp_path, {"a": tmp_path, "b": tmp_path})
+    context = run.context("detect", progress=lambda fraction, message="", **figures: seen.append(fraction))
+    summary = detect.run(context, DetectConfig())
+    instants = read_annotations(tmp_path / "detect" / "detections.parquet")
+    assert [instant.time_ns for instant in instants] == [i * S for i in range(40)]
+    for i, instant in enumerate(instants):
+        assert set(instant.detections) == ({"a", "b"} if i % 2 else {"a"})
+        found = instant.detections["a"]
+        assert found.frame_time_ns == i * S + 3
+        assert np.allclose(found.boxes, [[2 * i - 0.5, 15.5, 2 * i + 31.5, 31.5]], atol=2.1)
+        assert found.classes.tolist() == [2]
+        assert instant.vehicles == ()
+    assert len(instants[1].detections["b"]) == 0
+    assert summary["boxes_by_camera"] == {"a": 40, "b": 0}
+    assert summary["boxes_by_class"] == {"car": 0, "van": 0, "truck": 40, "bus": 0}
+    assert summary["frames"] == 60
+    assert seen == sorted(seen)
+    assert seen[-1] == 1.0
+    json.dumps(summary)
+
+
+def test_no_vehicle_at_all_is_an_error(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(detect, "load_detector", lambda path, **options: BrightSpots())
+    stored(tmp_path / "frames", spots=False)
+    with pytest.raises(NoVehicles, match="60 frames of 2 cameras"):
+        detect.run(Run(tmp_path, {"a": tmp_path}).context("detect"), DetectConfig())
+
+
+def test_detector_of_ones_own_must_be_there(tmp_path: Path) -> None:
+    stored(tmp_path / "frames", spots=True)
+    with pytest.raises(InputError, match="the site has no detector"):
+        detect.run(Run(tmp_path, {"a": tmp_path}).context("detect"), DetectConfig(detector="custom"))
+
+
+@pytest.mark.assets
+def test_custom_detector_runs_on_real_footage(assets: Path, tmp_path: Path) -> None:
+    run = Run(tmp_path, {"a": assets / "footage" / "traffic.mp4"})
+    run.site = site(("a",), 640, 360)
+    run.preflight()
+    run.frames({"a": ClockMap()}, rate_hz=0.5)
+    context = run.context("detect", assets={"detector": assets / "detectors" / "yolox_nano.onnx"})
+    summary = detect.run(context, DetectConfig(detector="custom", min_score=0.2))
+    assert summary["frames"] == 10
+    assert summary["boxes"] >= 20
+    for instant in read_annotations(tmp_path / "detect" / "detections.parquet"):
+        assert len(instant.detections["a"])

@@ -1,0 +1,222 @@
+"""The data folder on the local disk. Every path in it is made from ids of our own, never from a user's names."""
+
+from __future__ import annotations
+
+import fcntl
+import hashlib
+import os
+import re
+import shutil
+import time
+from collections import OrderedDict
+from pathlib import Path
+from types import TracebackType
+from typing import BinaryIO, Self
+
+from wibam_core.errors import Conflict, DiskFull, Locked, NotFound
+from wibam_core.jobs.records import StoredFile, Upload
+
+_ID = re.compile(r"[a-z]+_[0-9a-f]{16}")
+_SPARE_BYTES = 256 * 1024 * 1024  # kept free when an upload is admitted
+_HASH_BLOCK = 4 * 1024 * 1024
+
+
+class DataFolder:
+    """Where everything but the database's rows lies.
+
+    ``uploads/`` unfinished uploads, ``files/`` finished ones, ``stages/`` published outputs (`StageStore`),
+    ``logs/`` one text file a job, ``cache/`` what stages may cache.
+    """
+
+    def __init__(self, root: Path) -> None:
+        self.root = root.absolute()
+        for folder in ("uploads", "files", "stages", "logs", "cache"):
+            (self.root / folder).mkdir(parents=True, exist_ok=True)
+
+    @property
+    def stages(self) -> Path:
+        return self.root / "stages"
+
+    @property
+    def cache(self) -> Path:
+        return self.root / "cache"
+
+    def upload(self, upload_id: str) -> Path:
+        return self.root / "uploads" / _plain(upload_id)
+
+    def file(self, file: StoredFile) -> Path:
+        return self._finished(file.id, file.suffix)
+
+    def log(self, job_id: str) -> Path:
+        return self.root / "logs" / f"{_plain(job_id)}.log"
+
+    def require_space(self, size_bytes: int) -> None:
+        """Raises:
+        DiskFull: ``size_bytes`` more do not fit.
+        """
+        free = shutil.disk_usage(self.root).free
+        if free < size_bytes + _SPARE_BYTES:
+            raise DiskFull(
+                f"{size_bytes / 1e6:.0f} MB do not fit on the service's disk, {free / 1e6:.0f} MB are free",
+                hint="Free space in the data folder, then send the file again.",
+                free_bytes=free,
+            )
+
+    def remove_file(self, file_id: str) -> None:
+        """Remove a finished file and whatever is left of its upload. Absent ones are fine."""
+        self.upload(file_id).unlink(missing_ok=True)
+        self.upload(file_id).with_suffix(".lock").unlink(missing_ok=True)
+        for path in self._all_finished(file_id):
+            path.unlink(missing_ok=True)
+
+    def old_file_ids(self, older_than_s: float = 3600.0) -> set[str]:
+        """Ids of files and uploads whose bytes have lain here unchanged for a while."""
+        limit = time.time() - older_than_s
+        paths = [path for name in ("uploads", "files") for path in (self.root / name).iterdir()]
+        return {path.name.split(".")[0] for path in paths if path.stat().st_mtime < limit}
+
+    def remove_log(self, job_id: str) -> None:
+        self.log(job_id).unlink(missing_ok=True)
+
+    def finish(self, upload_id: str) -> str:
+        """Make a whole upload a finished file of the same id; returns its suffix, told by its first bytes."""
+        source = self.upload(upload_id)
+        with source.open("rb") as stream:
+            suffix = _suffix(stream.read(4))
+        source.replace(self._finished(upload_id, suffix))
+        return suffix
+
+    def reopen(self, upload_id: str) -> None:
+        """Undo `finish` where the service was killed before the database knew of it."""
+        for path in self._all_finished(upload_id):
+            path.replace(self.upload(upload_id))
+
+    def _finished(self, file_id: str, suffix: str) -> Path:
+        return self.root / "files" / f"{_plain(file_id)}{suffix}"
+
+    def _all_finished(self, file_id: str) -> list[Path]:
+        return [p for suffix in ("", ".parquet", ".json") if (p := self._finished(file_id, suffix)).exists()]
+
+
+class UploadFile:
+    """The bytes of an unfinished upload, held by one writer at a time. A context manager: inside it, and only there,
+    what the database says about the upload stays true.
+
+    Raises:
+        Locked: another request is writing to this upload (on entering).
+    """
+
+    def __init__(self, folder: DataFolder, upload_id: str) -> None:
+        self._path = folder.upload(upload_id)
+        self._folder = folder
+        self._upload_id = upload_id
+        self._lock: BinaryIO | None = None
+        self._stream: BinaryIO | None = None
+
+    def __enter__(self) -> Self:
+        lock = self._path.with_suffix(".lock").open("ab")
+        try:
+            fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError:
+            lock.close()
+            raise Locked("another request is writing to this upload") from None
+        self._lock = lock
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        for stream in (self._stream, self._lock):
+            if stream is not None:
+                stream.close()
+
+    def resume_at(self, offset: int) -> None:
+        """Drop what lies beyond ``offset`` (bytes that were written, but not acknowledged) and go on there.
+
+        Raises:
+            Conflict: fewer than ``offset`` bytes are there.
+        """
+        if not self._path.exists():
+            self._folder.reopen(self._upload_id)
+        self._stream = stream = os.fdopen(os.open(self._path, os.O_RDWR | os.O_CREAT, 0o600), "r+b")
+        size = os.fstat(stream.fileno()).st_size
+        if size < offset:
+            raise Conflict(
+                f"the upload has lost bytes on the service's disk: {size} of {offset} are left",
+                hint="Delete this upload and start a new one.",
+            )
+        stream.truncate(offset)
+        stream.seek(offset)
+
+    def write(self, data: bytes) -> None:
+        """Raises:
+        DiskFull: the disk is full.
+        """
+        try:
+            self._open_stream.write(data)
+        except OSError as error:
+            raise DiskFull("the service's disk is full", hint="Free space, then resume the upload.") from error
+
+    def sync(self) -> None:
+        """Return once everything written so far would survive a power cut.
+
+        Raises:
+            DiskFull: the disk is full.
+        """
+        try:
+            self._open_stream.flush()
+            os.fdatasync(self._open_stream.fileno())
+        except OSError as error:
+            raise DiskFull("the service's disk is full", hint="Free space, then resume the upload.") from error
+
+    def read_sha256(self) -> str:
+        """The digest of everything that is in the file, by reading it."""
+        digest = hashlib.sha256()
+        self._open_stream.seek(0)
+        while block := self._open_stream.read(_HASH_BLOCK):
+            digest.update(block)
+        return digest.hexdigest()
+
+    @property
+    def _open_stream(self) -> BinaryIO:
+        if self._stream is None:
+            raise ValueError("the upload is not open")
+        return self._stream
+
+
+class RunningDigests:
+    """SHA-256 of unfinished uploads, kept along while their bytes pass, so that finishing one need not read it again.
+
+    Only the last ``capacity`` uploads are kept; an upload whose digest is not at hand is read once, at its end.
+    """
+
+    def __init__(self, capacity: int = 64) -> None:
+        self._capacity = capacity
+        self._kept: OrderedDict[str, tuple[int, hashlib._Hash]] = OrderedDict()
+
+    def take(self, upload: Upload) -> hashlib._Hash | None:
+        """The digest of the first ``upload.offset`` bytes, if it is known. It is no longer kept."""
+        if upload.offset == 0:
+            self._kept.pop(upload.id, None)
+            return hashlib.sha256()
+        offset, digest = self._kept.pop(upload.id, (-1, None))
+        return digest if offset == upload.offset else None
+
+    def keep(self, upload_id: str, offset: int, digest: hashlib._Hash | None) -> None:
+        if digest is None:
+            return
+        self._kept[upload_id] = (offset, digest)
+        while len(self._kept) > self._capacity:
+            self._kept.popitem(last=False)
+
+
+def _plain(name: str) -> str:
+    if not _ID.fullmatch(name):
+        raise NotFound(f"there is nothing with the id {name!r}")
+    return name
+
+
+def _suffix(head: bytes) -> str:
+    if head == b"PAR1":
+        return ".parquet"
+    return ".json" if head[:1] in (b"{", b"[") else ""

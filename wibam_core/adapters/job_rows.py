@@ -1,0 +1,118 @@
+"""Changes of a job and its stages inside one transaction. Whoever changes a job holds its row from beginning to end."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any, NamedTuple
+
+from sqlalchemy import select
+from sqlalchemy.orm import Session
+
+from wibam_core.adapters import records
+from wibam_core.adapters.models import EventRow, FileRow, JobFileRow, JobRow, StageRow
+from wibam_core.errors import NotFound
+from wibam_core.jobs.machine import Settlement, StageNode, check_job_move, check_stage_move, settle
+from wibam_core.jobs.records import EventKind, Job
+from wibam_core.jobs.states import JobState, StageState
+
+
+class StageKey(NamedTuple):
+    """A stage of a job, as messages name it."""
+
+    job_id: str
+    stage: str
+
+
+def job_row(session: Session, job_id: str, *, lock: bool = False) -> JobRow:
+    """Args:
+        session: a transaction; a writing one to ``lock`` the row against concurrent changes.
+        job_id: which.
+        lock: hold the row until the transaction ends.
+
+    Raises:
+        NotFound: there is no such job.
+    """
+    row = session.get(JobRow, job_id, with_for_update=lock or None)
+    if row is None:
+        raise NotFound(f"there is no job {job_id}", hint="List the jobs to see their ids.")
+    return row
+
+
+def stage_rows(session: Session, job_id: str) -> list[StageRow]:
+    """The stages of a job, in the order of the pipeline."""
+    return list(session.scalars(select(StageRow).where(StageRow.job_id == job_id).order_by(StageRow.position)))
+
+
+def job_record(session: Session, row: JobRow) -> Job:
+    """The whole job."""
+    files = session.scalars(
+        select(FileRow)
+        .join(JobFileRow, JobFileRow.file_id == FileRow.id)
+        .where(JobFileRow.job_id == row.id)
+        .order_by(FileRow.purpose, FileRow.camera_id)
+    )
+    return records.job(row, files, stage_rows(session, row.id))
+
+
+def nodes(stages: Sequence[StageRow]) -> list[StageNode]:
+    return [StageNode(stage.name, StageState(stage.state), tuple(stage.requires)) for stage in stages]
+
+
+def add_event(session: Session, job: JobRow, kind: EventKind, now: float, **data: Any) -> None:
+    """Append an event; the job's row must be locked, so that sequence numbers have no gaps."""
+    job.last_event += 1
+    session.add(
+        EventRow(job_id=job.id, sequence=job.last_event, kind=kind.value, at=now, data=records.plain_json(data))
+    )
+
+
+def move_job(
+    session: Session, job: JobRow, state: JobState, now: float, error: Mapping[str, Any] | None = None
+) -> None:
+    """Change a job's state, and tell."""
+    check_job_move(JobState(job.state), state)
+    job.state = state.value
+    if state is JobState.RUNNING:
+        job.started_at = now
+    if state.is_terminal:
+        job.finished_at = now
+    if error is not None:
+        job.error = dict(error)
+    add_event(session, job, EventKind.JOB, now, state=state.value, error=error)
+
+
+def move_stage(session: Session, job: JobRow, stage: StageRow, state: StageState, now: float, **news: Any) -> None:
+    """Change a stage's state, give up its lease, and tell."""
+    check_stage_move(StageState(stage.state), state)
+    stage.state = state.value
+    stage.lease_owner = stage.lease_expires_at = None
+    stage.dispatched_at = now if state is StageState.QUEUED else None
+    if state.is_terminal and stage.started_at is not None:
+        stage.finished_at = now
+    add_event(session, job, EventKind.STAGE, now, stage=stage.name, state=state.value, **news)
+
+
+def settle_job(session: Session, job: JobRow, now: float) -> list[StageKey]:
+    """Let follow what follows (`machine.settle`); returns the stages to dispatch once the transaction is committed."""
+    stages = stage_rows(session, job.id)
+    return apply(session, job, stages, settle(JobState(job.state), nodes(stages)), now)
+
+
+def apply(
+    session: Session, job: JobRow, stages: Sequence[StageRow], settlement: Settlement, now: float
+) -> list[StageKey]:
+    """Write what `machine.settle` or `machine.cancel` decided."""
+    by_name = {stage.name: stage for stage in stages}
+    for name, state in settlement.moves.items():
+        move_stage(session, job, by_name[name], state, now)
+    if settlement.job is not JobState(job.state):
+        move_job(session, job, settlement.job, now, _first_error(stages, settlement.job))
+    return [StageKey(job.id, name) for name in settlement.queued]
+
+
+def _first_error(stages: Sequence[StageRow], state: JobState) -> Mapping[str, Any] | None:
+    if state is not JobState.FAILED:
+        return None
+    failed = next(stage for stage in stages if stage.state == StageState.FAILED.value)
+    error = dict(failed.error or {})
+    return {**error, "details": {**error.get("details", {}), "stage": failed.name}}

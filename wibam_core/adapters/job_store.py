@@ -1,0 +1,281 @@
+"""Jobs in the database: create, look at, cancel, restart, delete, follow."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Collection, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+from sqlalchemy import func, select
+from sqlalchemy.orm import Session
+
+from wibam_core.adapters import records
+from wibam_core.adapters.database import Database
+from wibam_core.adapters.job_rows import (
+    StageKey,
+    add_event,
+    apply,
+    job_record,
+    job_row,
+    nodes,
+    settle_job,
+    stage_rows,
+)
+from wibam_core.adapters.models import EventRow, FileRow, JobFileRow, JobRow, SiteRow, StageRow
+from wibam_core.errors import Conflict, NotFound
+from wibam_core.jobs.machine import cancel, check_job_move, descendants
+from wibam_core.jobs.records import Event, EventKind, Job, SiteRecord, StoredFile
+from wibam_core.jobs.states import JobState, StageState
+
+_TERMINAL = [state.value for state in JobState if state.is_terminal]
+_TYPICAL_OF = 200  # so many latest runs tell how long a stage usually takes
+
+
+@dataclass(frozen=True)
+class StagePlan:
+    """A stage that a job shall run: ``hash`` is the address of its outputs."""
+
+    name: str
+    hash: str
+    requires: tuple[str, ...]
+
+
+class JobStore:
+    """What users do to jobs.
+
+    Args:
+        database: migrated.
+        now: Unix seconds.
+    """
+
+    def __init__(self, database: Database, now: Callable[[], float] = time.time) -> None:
+        self._database = database
+        self._now = now
+
+    def create(
+        self,
+        site: SiteRecord,
+        options: Mapping[str, Any],
+        files: Sequence[StoredFile],
+        plan: Sequence[StagePlan],
+        idempotency_key: str | None = None,
+    ) -> tuple[Job, list[StageKey]]:
+        """A new job, and the stages to dispatch; with a key that was used before, the job it made, and nothing.
+
+        Raises:
+            NotFound: the site is gone.
+            Conflict: the key was used for other options, or a file was deleted meanwhile.
+        """
+        now = self._now()
+        with self._database.writing(exclusive=True) as session:
+            if session.get(SiteRow, site.id) is None:
+                raise NotFound(f"there is no site {site.id}")
+            if idempotency_key is not None:
+                before = _job_of_key(session, site.id, idempotency_key, options)
+                if before is not None:
+                    return before, []
+            _check_files_exist(session, files)
+            row = JobRow(
+                id=records.new_id("job"),
+                site_id=site.id,
+                site_document=site.site.model_dump_json(),
+                options=dict(options),
+                state=JobState.QUEUED.value,
+                created_at=now,
+                restarts=0,
+                last_event=0,
+                idempotency_key=idempotency_key,
+            )
+            session.add(row)
+            session.flush()
+            session.add_all(JobFileRow(job_id=row.id, file_id=file.id) for file in files)
+            session.add_all(_fresh_stage(row.id, position, planned) for position, planned in enumerate(plan))
+            add_event(session, row, EventKind.JOB, now, state=row.state)
+            session.flush()
+            ready = settle_job(session, row, now)
+            session.flush()
+            return job_record(session, row), ready
+
+    def job(self, job_id: str) -> Job:
+        """Raises:
+        NotFound: there is no such job.
+        """
+        with self._database.reading() as session:
+            return job_record(session, job_row(session, job_id))
+
+    def jobs(self, site_id: str | None = None, limit: int = 100) -> list[Job]:
+        """Jobs, the newest first."""
+        newest = select(JobRow).order_by(JobRow.created_at.desc(), JobRow.id).limit(limit)
+        if site_id is not None:
+            newest = newest.where(JobRow.site_id == site_id)
+        with self._database.reading() as session:
+            return [job_record(session, row) for row in session.scalars(newest).all()]
+
+    def cancel(self, job_id: str) -> Job:
+        """Ask a job to stop. A terminal job stays as it is.
+
+        Raises:
+            NotFound: there is no such job.
+        """
+        now = self._now()
+        with self._database.writing() as session:
+            row = job_row(session, job_id, lock=True)
+            stages = stage_rows(session, job_id)
+            apply(session, row, stages, cancel(JobState(row.state), nodes(stages)), now)
+            session.flush()
+            return job_record(session, row)
+
+    def restart(
+        self, job_id: str, options: Mapping[str, Any], plan: Sequence[StagePlan], from_stage: str | None = None
+    ) -> tuple[Job, list[StageKey]]:
+        """Let a job run again: the stages without outputs, those whose address changed, and, where ``from_stage`` is
+        given, that stage and all that follow from it.
+
+        Raises:
+            NotFound: there is no such job.
+            Conflict: it has not ended yet, or another job works with outputs that were to be made anew.
+        """
+        now = self._now()
+        with self._database.writing(exclusive=True) as session:
+            row = job_row(session, job_id, lock=True)
+            if not JobState(row.state).is_terminal:
+                raise Conflict(f"job {job_id} is {row.state}", hint="Cancel it first, or wait until it has ended.")
+            stages = {stage.name: stage for stage in stage_rows(session, job_id)}
+            anew = _made_anew(plan, from_stage)
+            _check_not_in_use(session, job_id, [planned.hash for planned in plan if planned.name in anew])
+            fresh: list[StageRow] = []
+            for position, planned in enumerate(plan):
+                old = stages.pop(planned.name, None)
+                if old is not None and _still_good(old, planned) and planned.name not in anew:
+                    continue
+                fence = 0
+                if old is not None:
+                    fence = old.fence + 1  # a worker that still holds it from before has lost it
+                    session.delete(old)
+                stage = _fresh_stage(job_id, position, planned)
+                stage.forced, stage.fence = planned.name in anew, fence
+                fresh.append(stage)
+            for left_over in stages.values():
+                session.delete(left_over)
+            session.flush()
+            session.add_all(fresh)
+            check_job_move(JobState(row.state), JobState.QUEUED)
+            row.state, row.options, row.error = JobState.QUEUED.value, dict(options), None
+            row.started_at = row.finished_at = None
+            row.restarts += 1
+            add_event(session, row, EventKind.JOB, now, state=row.state, restarts=row.restarts)
+            session.flush()
+            ready = settle_job(session, row, now)
+            session.flush()
+            return job_record(session, row), ready
+
+    def delete(self, job_id: str, remove_outputs: Callable[[str, str], None]) -> None:
+        """Forget a job that has ended, and remove the stage outputs that no other job refers to.
+
+        Args:
+            job_id: which.
+            remove_outputs: called with a stage's name and hash while no job can be created.
+
+        Raises:
+            NotFound: there is no such job.
+            Conflict: it has not ended yet.
+        """
+        with self._database.writing(exclusive=True) as session:
+            row = job_row(session, job_id, lock=True)
+            if not JobState(row.state).is_terminal:
+                raise Conflict(f"job {job_id} is {row.state}", hint="Cancel it first, or wait until it has ended.")
+            addresses = [(stage.name, stage.hash) for stage in stage_rows(session, job_id)]
+            session.delete(row)
+            session.flush()
+            for name, digest in addresses:
+                if session.scalar(select(StageRow.name).where(StageRow.hash == digest).limit(1)) is None:
+                    remove_outputs(name, digest)
+
+    def events(self, job_id: str, after: int = 0, limit: int = 500) -> tuple[list[Event], bool]:
+        """Events with sequence numbers above ``after``, and whether no more will come (unless the job is restarted).
+
+        Raises:
+            NotFound: there is no such job.
+        """
+        with self._database.reading() as session:
+            row = job_row(session, job_id)
+            rows = session.scalars(
+                select(EventRow)
+                .where(EventRow.job_id == job_id, EventRow.sequence > after)
+                .order_by(EventRow.sequence)
+                .limit(limit)
+            ).all()
+            last = rows[-1].sequence if rows else after
+            return [records.event(event) for event in rows], row.state in _TERMINAL and last >= row.last_event
+
+    def typical_seconds(self) -> dict[str, float]:
+        """Stage name -> how long it took on average, lately."""
+        latest = (
+            select(StageRow.name, (StageRow.finished_at - StageRow.started_at).label("seconds"))
+            .where(StageRow.state == StageState.SUCCEEDED.value)
+            .order_by(StageRow.finished_at.desc())
+            .limit(_TYPICAL_OF)
+            .subquery()
+        )
+        with self._database.reading() as session:
+            rows = session.execute(select(latest.c.name, func.avg(latest.c.seconds)).group_by(latest.c.name))
+            return {name: float(seconds) for name, seconds in rows if seconds is not None}
+
+
+def _fresh_stage(job_id: str, position: int, planned: StagePlan) -> StageRow:
+    return StageRow(
+        job_id=job_id,
+        name=planned.name,
+        position=position,
+        hash=planned.hash,
+        requires=list(planned.requires),
+        state=StageState.PENDING.value,
+        forced=False,
+        attempts=0,
+        fence=0,
+        fraction=0.0,
+        message="",
+    )
+
+
+def _still_good(stage: StageRow, planned: StagePlan) -> bool:
+    return StageState(stage.state).has_outputs and stage.hash == planned.hash
+
+
+def _made_anew(plan: Sequence[StagePlan], from_stage: str | None) -> Collection[str]:
+    if from_stage is None:
+        return ()
+    rows = [_fresh_stage("", position, planned) for position, planned in enumerate(plan)]
+    return descendants(nodes(rows), [from_stage])
+
+
+def _check_not_in_use(session: Session, job_id: str, hashes: Sequence[str]) -> None:
+    user = session.scalar(
+        select(JobRow.id)
+        .join(StageRow, StageRow.job_id == JobRow.id)
+        .where(StageRow.hash.in_(hashes), JobRow.id != job_id, JobRow.state.not_in(_TERMINAL))
+        .limit(1)
+    )
+    if user is not None:
+        raise Conflict(f"job {user} is working with the same stages", hint="Wait until it has ended.", job=user)
+
+
+def _check_files_exist(session: Session, files: Sequence[StoredFile]) -> None:
+    ids = [file.id for file in files]
+    there = set(session.scalars(select(FileRow.id).where(FileRow.id.in_(ids))))
+    if len(there) < len(ids):
+        raise Conflict("a recording was deleted while the job was being created", hint="Create the job again.")
+
+
+def _job_of_key(session: Session, site_id: str, key: str, options: Mapping[str, Any]) -> Job | None:
+    row = session.scalars(select(JobRow).where(JobRow.site_id == site_id, JobRow.idempotency_key == key)).one_or_none()
+    if row is None:
+        return None
+    if row.options != dict(options):
+        raise Conflict(
+            f"this Idempotency-Key made job {row.id} with other options",
+            hint="Use a new key for a new job.",
+            job=row.id,
+        )
+    return job_record(session, row)

@@ -1,0 +1,116 @@
+"""The service's settings. They are read from the environment here, at the edge, and nowhere else."""
+
+from __future__ import annotations
+
+import hashlib
+import os
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+
+from wibam_core.adapters.database import sqlite_url
+from wibam_core.errors import InputError
+from wibam_core.jobs.leases import LeasePolicy
+
+_GB = 1_000_000_000
+
+
+@dataclass(frozen=True)
+class StageLimits:
+    """What one stage may take: resident memory (bytes), wall time (s); ``nice`` is its scheduling priority."""
+
+    memory_bytes: int
+    seconds: float
+    nice: int = 5
+
+    def __post_init__(self) -> None:
+        if self.memory_bytes <= 0 or self.seconds <= 0 or not 0 <= self.nice <= 19:
+            raise ValueError("limits must be positive, nice in [0, 19]")
+
+
+def _most_of_the_memory() -> int:
+    return int(os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES") * 0.8)
+
+
+@dataclass(frozen=True)
+class ServiceSettings:
+    """What api and worker need to know. Both must be given the same.
+
+    Attributes:
+        data_dir: the data folder (`DataFolder`).
+        database_url: an SQLAlchemy URL.
+        broker_url: of Redis, e.g. ``redis://redis:6379/0`` or ``redis+socket:///path/redis.sock``.
+        token_sha256: SHA-256 (hex) of the API token; the token itself is not kept.
+        upload_quota_bytes: all uploads together. upload_lifetime_s: unfinished ones are dropped without news.
+    """
+
+    data_dir: Path
+    database_url: str
+    broker_url: str
+    token_sha256: str
+    upload_quota_bytes: int = 500 * _GB
+    upload_lifetime_s: float = 24 * 3600.0
+    leases: LeasePolicy = field(default_factory=LeasePolicy)
+    limits: StageLimits = field(default_factory=lambda: StageLimits(_most_of_the_memory(), 6 * 3600.0))
+
+    def __post_init__(self) -> None:
+        if len(self.token_sha256) != 64 or set(self.token_sha256) - set("0123456789abcdef"):
+            raise InputError(
+                "WIBAM_TOKEN_SHA256 is not a SHA-256 in lower-case hexadecimal",
+                hint='Make it with: printf %s "$TOKEN" | sha256sum',
+            )
+
+    @classmethod
+    def from_environment(cls, environment: Mapping[str, str]) -> ServiceSettings:
+        """Raises:
+        InputError: naming the first variable that is missing or wrong.
+        """
+        data_dir = Path(_required(environment, "WIBAM_DATA_DIR")).absolute()
+        return cls(
+            data_dir=data_dir,
+            database_url=environment.get("WIBAM_DATABASE_URL") or sqlite_url(data_dir / "wibam.db"),
+            broker_url=_required(environment, "WIBAM_BROKER_URL"),
+            token_sha256=_required(environment, "WIBAM_TOKEN_SHA256"),
+            upload_quota_bytes=int(_number(environment, "WIBAM_UPLOAD_QUOTA_GB", 500.0) * _GB),
+            upload_lifetime_s=_number(environment, "WIBAM_UPLOAD_LIFETIME_H", 24.0) * 3600.0,
+            limits=StageLimits(
+                int(_number(environment, "WIBAM_STAGE_MEMORY_GB", _most_of_the_memory() / _GB) * _GB),
+                _number(environment, "WIBAM_STAGE_HOURS", 6.0) * 3600.0,
+            ),
+        )
+
+    def to_environment(self) -> dict[str, str]:
+        """What `from_environment` reads."""
+        return {
+            "WIBAM_DATA_DIR": str(self.data_dir),
+            "WIBAM_DATABASE_URL": self.database_url,
+            "WIBAM_BROKER_URL": self.broker_url,
+            "WIBAM_TOKEN_SHA256": self.token_sha256,
+            "WIBAM_UPLOAD_QUOTA_GB": repr(self.upload_quota_bytes / _GB),
+            "WIBAM_UPLOAD_LIFETIME_H": repr(self.upload_lifetime_s / 3600.0),
+            "WIBAM_STAGE_MEMORY_GB": repr(self.limits.memory_bytes / _GB),
+            "WIBAM_STAGE_HOURS": repr(self.limits.seconds / 3600.0),
+        }
+
+
+def token_digest(token: str) -> str:
+    """The SHA-256 (hex) by which the service knows a token. Tokens are long and random, so no salt is needed."""
+    return hashlib.sha256(token.encode()).hexdigest()
+
+
+def _required(environment: Mapping[str, str], name: str) -> str:
+    value = environment.get(name, "")
+    if not value:
+        raise InputError(f"{name} is not set", hint="`wibam serve` sets it; deploy/service.env.example explains all.")
+    return value
+
+
+def _number(environment: Mapping[str, str], name: str, default: float) -> float:
+    text = environment.get(name, "")
+    try:
+        value = float(text) if text else default
+    except ValueError:
+        raise InputError(f"{name} must be a number, not {text!r}") from None
+    if not value > 0:
+        raise InputError(f"{name} must be positive, not {text}")
+    return value

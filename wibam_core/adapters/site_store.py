@@ -1,0 +1,278 @@
+"""Sites, their files and uploads in the database."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+
+from sqlalchemy import delete, exists, func, select, update
+from sqlalchemy.orm import Session
+
+from wibam_core.adapters import records
+from wibam_core.adapters.database import Database
+from wibam_core.adapters.models import FileRow, JobFileRow, JobRow, SiteRow, UploadRow
+from wibam_core.errors import Conflict, InputError, NotFound, QuotaExceeded
+from wibam_core.jobs.records import Purpose, SiteRecord, StoredFile, Upload
+from wibam_core.site import Site
+
+Clock = Callable[[], float]
+
+
+@dataclass(frozen=True)
+class UploadRequest:
+    """A file that a client wants to send: ``length`` bytes, called ``filename`` over there."""
+
+    site_id: str
+    purpose: Purpose
+    camera_id: str
+    filename: str
+    length: int
+
+    def __post_init__(self) -> None:
+        if self.length <= 0:
+            raise InputError("the file is empty", hint="Send a file that holds something.")
+
+
+class SiteStore:
+    """Everything a user has given us, but for the bytes themselves.
+
+    Args:
+        database: migrated.
+        now: Unix seconds.
+    """
+
+    def __init__(self, database: Database, now: Clock = time.time) -> None:
+        self._database = database
+        self._now = now
+
+    # --- sites ---------------------------------------------------------------------------------
+    def add_site(self, site: Site) -> SiteRecord:
+        record = SiteRecord(records.new_id("site"), site, self._now())
+        with self._database.writing() as session:
+            session.add(SiteRow(id=record.id, document=site.model_dump_json(), created_at=record.created_at))
+        return record
+
+    def sites(self) -> list[SiteRecord]:
+        """All sites, the newest first."""
+        with self._database.reading() as session:
+            rows = session.scalars(select(SiteRow).order_by(SiteRow.created_at.desc(), SiteRow.id))
+            return [records.site_record(row) for row in rows]
+
+    def site(self, site_id: str) -> SiteRecord:
+        """Raises:
+        NotFound: there is no such site.
+        """
+        with self._database.reading() as session:
+            return records.site_record(_site_row(session, site_id))
+
+    def delete_site(self, site_id: str) -> list[str]:
+        """Forget a site with its files and uploads; returns the ids of the files whose bytes may go.
+
+        Raises:
+            NotFound: there is no such site.
+            Conflict: the site still has jobs.
+        """
+        with self._database.writing(exclusive=True) as session:
+            row = _site_row(session, site_id)
+            jobs = session.scalar(select(func.count()).select_from(JobRow).where(JobRow.site_id == site_id)) or 0
+            if jobs:
+                raise Conflict(
+                    f"site {site_id} still has {jobs} job{'s' if jobs > 1 else ''}",
+                    hint="Delete its jobs first; their results go with them.",
+                    jobs=jobs,
+                )
+            ids = [*session.scalars(select(FileRow.id).where(FileRow.site_id == site_id))]
+            ids += session.scalars(select(UploadRow.id).where(UploadRow.site_id == site_id))
+            session.delete(row)
+            return ids
+
+    # --- files ---------------------------------------------------------------------------------
+    def files(self, site_id: str) -> list[StoredFile]:
+        """The current files of a site: recordings by camera, labels, detector.
+
+        Raises:
+            NotFound: there is no such site.
+        """
+        with self._database.reading() as session:
+            _site_row(session, site_id)
+            return _current_files(session, site_id)
+
+    def retire_file(self, site_id: str, file_id: str) -> None:
+        """Take a file off its site. Jobs that were made with it keep it.
+
+        Raises:
+            NotFound: the site has no such file.
+        """
+        with self._database.writing() as session:
+            row = session.get(FileRow, file_id)
+            if row is None or row.site_id != site_id or row.retired_at is not None:
+                raise NotFound(f"site {site_id} has no file {file_id}")
+            row.retired_at = self._now()
+
+    def purge_files(self) -> list[str]:
+        """Forget retired files that no job needs; returns their ids."""
+        unused = (FileRow.retired_at.is_not(None)) & ~exists().where(JobFileRow.file_id == FileRow.id)
+        with self._database.writing(exclusive=True) as session:
+            return [*session.scalars(delete(FileRow).where(unused).returning(FileRow.id))]
+
+    # --- uploads -------------------------------------------------------------------------------
+    def add_upload(self, request: UploadRequest, *, lifetime_s: float, quota_bytes: int) -> Upload:
+        """Admit an upload.
+
+        Args:
+            request: what is to come.
+            lifetime_s: how long it is kept without news.
+            quota_bytes: all finished files and promised uploads together may take this much.
+
+        Raises:
+            NotFound: there is no such site.
+            InputError: the site has no such camera, or the purpose takes none.
+            QuotaExceeded: too much is stored already.
+        """
+        now = self._now()
+        upload = Upload(
+            id=records.new_id("file"),
+            site_id=request.site_id,
+            purpose=request.purpose,
+            camera_id=request.camera_id,
+            filename=records.plain_text(request.filename)[:255],
+            length=request.length,
+            offset=0,
+            created_at=now,
+            expires_at=now + lifetime_s,
+        )
+        with self._database.writing(exclusive=True) as session:
+            site = records.site_record(_site_row(session, request.site_id)).site
+            _check_camera(site, request.purpose, request.camera_id)
+            _check_quota(session, request.length, quota_bytes)
+            session.add(
+                UploadRow(
+                    id=upload.id,
+                    site_id=upload.site_id,
+                    purpose=upload.purpose.value,
+                    camera_id=upload.camera_id,
+                    filename=upload.filename,
+                    length_bytes=upload.length,
+                    offset_bytes=0,
+                    created_at=now,
+                    expires_at=upload.expires_at,
+                )
+            )
+        return upload
+
+    def upload(self, upload_id: str) -> Upload:
+        """Raises:
+        NotFound: there is no such upload (any more).
+        """
+        with self._database.reading() as session:
+            row = session.get(UploadRow, upload_id)
+            if row is None:
+                raise NotFound(f"there is no upload {upload_id}", hint="It may have expired; start a new one.")
+            return records.upload(row)
+
+    def advance_upload(self, upload_id: str, offset: int, *, lifetime_s: float) -> None:
+        """Acknowledge bytes that are safely on disk, and keep the upload for another ``lifetime_s``."""
+        values = {"offset_bytes": offset, "expires_at": self._now() + lifetime_s}
+        with self._database.writing() as session:
+            session.execute(update(UploadRow).where(UploadRow.id == upload_id).values(values))
+
+    def complete_upload(self, upload: Upload, *, suffix: str, sha256: str) -> StoredFile:
+        """All bytes are there: the upload becomes the current file of its purpose and camera; both have one id."""
+        now = self._now()
+        file = StoredFile(
+            upload.id,
+            upload.site_id,
+            upload.purpose,
+            upload.camera_id,
+            upload.filename,
+            suffix,
+            upload.length,
+            sha256,
+            now,
+        )
+        same_place = (
+            (FileRow.site_id == file.site_id)
+            & (FileRow.purpose == file.purpose.value)
+            & (FileRow.camera_id == file.camera_id)
+            & FileRow.retired_at.is_(None)
+        )
+        with self._database.writing(exclusive=True) as session:
+            session.execute(update(FileRow).where(same_place).values(retired_at=now))
+            session.add(
+                FileRow(
+                    id=file.id,
+                    site_id=file.site_id,
+                    purpose=file.purpose.value,
+                    camera_id=file.camera_id,
+                    filename=file.filename,
+                    suffix=suffix,
+                    size_bytes=file.size_bytes,
+                    sha256=sha256,
+                    created_at=now,
+                )
+            )
+            done = {"offset_bytes": upload.length, "file_id": file.id}
+            session.execute(update(UploadRow).where(UploadRow.id == upload.id).values(done))
+        return file
+
+    def delete_upload(self, upload_id: str) -> None:
+        """Forget an upload; the file it became, if any, stays."""
+        with self._database.writing() as session:
+            session.execute(delete(UploadRow).where(UploadRow.id == upload_id))
+
+    def known_file_ids(self) -> set[str]:
+        """The ids of all uploads and files, retired ones too."""
+        with self._database.reading() as session:
+            return {*session.scalars(select(FileRow.id)), *session.scalars(select(UploadRow.id))}
+
+    def expired_uploads(self) -> list[Upload]:
+        """Uploads whose time is over."""
+        with self._database.reading() as session:
+            rows = session.scalars(select(UploadRow).where(UploadRow.expires_at < self._now()))
+            return [records.upload(row) for row in rows]
+
+
+def _current_files(session: Session, site_id: str) -> list[StoredFile]:
+    rows = session.scalars(
+        select(FileRow)
+        .where(FileRow.site_id == site_id, FileRow.retired_at.is_(None))
+        .order_by(FileRow.purpose, FileRow.camera_id)
+    )
+    return [records.stored_file(row) for row in rows]
+
+
+def _site_row(session: Session, site_id: str) -> SiteRow:
+    row = session.get(SiteRow, site_id)
+    if row is None:
+        raise NotFound(f"there is no site {site_id}", hint="List the sites to see their ids.")
+    return row
+
+
+def _check_camera(site: Site, purpose: Purpose, camera_id: str) -> None:
+    if purpose is not Purpose.RECORDING:
+        if camera_id:
+            raise InputError(
+                f"a file for {purpose} belongs to the site, not to camera {camera_id!r}", hint="Leave the camera out."
+            )
+    elif camera_id not in site.camera_ids:
+        raise InputError(
+            f"the site has no camera {camera_id!r}",
+            hint=f"Its cameras are {', '.join(site.camera_ids)}.",
+            camera=camera_id,
+        )
+
+
+def _check_quota(session: Session, length: int, quota_bytes: int) -> None:
+    stored = session.scalar(select(func.coalesce(func.sum(FileRow.size_bytes), 0))) or 0
+    promised = session.scalar(
+        select(func.coalesce(func.sum(UploadRow.length_bytes), 0)).where(UploadRow.file_id.is_(None))
+    )
+    used = int(stored) + int(promised or 0)
+    if used + length > quota_bytes:
+        raise QuotaExceeded(
+            f"{length / 1e6:.0f} MB are too many: {used / 1e6:.0f} of {quota_bytes / 1e6:.0f} MB are taken",
+            hint="Delete recordings that are no longer needed, or raise the service's upload quota.",
+            used_bytes=used,
+            quota_bytes=quota_bytes,
+        )

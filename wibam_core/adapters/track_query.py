@@ -1,0 +1,161 @@
+"""Questions about tracks, answered from the Parquet file by an in-memory duckdb."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import duckdb
+import pyarrow as pa
+
+from wibam_core.errors import InputError
+from wibam_core.scene import VehicleClass
+
+_MOST_CORNERS = 100
+_BATCH_ROWS = 20_000
+Point = tuple[float, float]
+
+
+@dataclass(frozen=True)
+class TrackQuery:
+    """Which states of which vehicles. What is left out does not restrict; everything together must hold.
+
+    Attributes:
+        start_ns, end_ns: reference clock, the start counts in, the end does not.
+        bounds: x min, y min, x max, y max in m. polygon: corners in m, in order; states inside count.
+        classes: of vehicles. track_ids: which tracks. min_speed_mps: slower states are left out.
+        after: the (time_ns, track_id) of the last state that was seen already.
+        limit: how many states at most.
+    """
+
+    start_ns: int | None = None
+    end_ns: int | None = None
+    bounds: tuple[float, float, float, float] | None = None
+    polygon: tuple[Point, ...] = ()
+    classes: tuple[VehicleClass, ...] = ()
+    track_ids: tuple[int, ...] = ()
+    min_speed_mps: float | None = None
+    after: tuple[int, int] | None = None
+    limit: int | None = None
+
+    def __post_init__(self) -> None:
+        if self.bounds is not None and not (self.bounds[0] < self.bounds[2] and self.bounds[1] < self.bounds[3]):
+            raise InputError("the bounds are empty", hint="Give x min, y min, x max, y max, in metres.")
+        if self.polygon and not 3 <= len(self.polygon) <= _MOST_CORNERS:
+            raise InputError(f"a polygon has 3 to {_MOST_CORNERS} corners, not {len(self.polygon)}")
+        if self.limit is not None and self.limit < 1:
+            raise InputError("the limit must be at least 1")
+
+
+def parse_bounds(text: str) -> tuple[float, float, float, float]:
+    """``"x_min,y_min,x_max,y_max"`` in m.
+
+    Raises:
+        InputError: it is not four numbers.
+    """
+    numbers = _numbers(text, "bounds")
+    if len(numbers) != 4:
+        raise InputError(f"bounds are four numbers, not {len(numbers)}", hint="Give x min, y min, x max, y max in m.")
+    return (numbers[0], numbers[1], numbers[2], numbers[3])
+
+
+def parse_polygon(text: str) -> tuple[Point, ...]:
+    """``"x1,y1;x2,y2;x3,y3"`` in m.
+
+    Raises:
+        InputError: it is not a list of points.
+    """
+    corners = [_numbers(corner, "polygon") for corner in text.split(";")]
+    if any(len(corner) != 2 for corner in corners):
+        raise InputError("every corner of a polygon is two numbers", hint="For example 0,0;10,0;10,10.")
+    return tuple((corner[0], corner[1]) for corner in corners)
+
+
+def parse_cursor(text: str) -> tuple[int, int]:
+    """What `cursor_of` made.
+
+    Raises:
+        InputError: it is something else.
+    """
+    found = re.fullmatch(r"(-?\d{1,19})_(-?\d{1,19})", text)
+    if not found:
+        raise InputError(f"{text!r} is no cursor", hint="Use the value of 'next' from the page before.")
+    return int(found[1]), int(found[2])
+
+
+def cursor_of(time_ns: int, track_id: int) -> str:
+    """Where the next page begins."""
+    return f"{time_ns}_{track_id}"
+
+
+@contextmanager
+def query_tracks(path: Path, query: TrackQuery) -> Iterator[pa.RecordBatchReader]:
+    """The states that match, sorted by time, then track, in batches of bounded size.
+
+    Args:
+        path: a file of `wibam_core.formats.tracks`.
+        query: which states.
+    """
+    conditions, values = _conditions(query)
+    where = f"WHERE {' AND '.join(conditions)}" if conditions else ""
+    limit = f"LIMIT {int(query.limit)}" if query.limit is not None else ""
+    sql = f"SELECT * FROM read_parquet(?) {where} ORDER BY time_ns, track_id {limit}"
+    with duckdb.connect(":memory:", config={"threads": 1}) as connection:
+        yield connection.sql(sql, params=[str(path), *values]).to_arrow_reader(_BATCH_ROWS)
+
+
+def _conditions(query: TrackQuery) -> tuple[list[str], list[Any]]:
+    conditions: list[str] = []
+    values: list[Any] = []
+
+    def add(condition: str, *of: Any) -> None:
+        conditions.append(condition)
+        values.extend(of)
+
+    if query.start_ns is not None:
+        add("time_ns >= ?", query.start_ns)
+    if query.end_ns is not None:
+        add("time_ns < ?", query.end_ns)
+    if query.bounds is not None:
+        x0, y0, x1, y1 = query.bounds
+        add("x_m BETWEEN ? AND ? AND y_m BETWEEN ? AND ?", x0, x1, y0, y1)
+    if query.polygon:
+        add(*_inside(query.polygon))
+    if query.classes:
+        add(f"class::VARCHAR IN ({_marks(query.classes)})", *(cls.value for cls in query.classes))
+    if query.track_ids:
+        add(f"track_id IN ({_marks(query.track_ids)})", *query.track_ids)
+    if query.min_speed_mps is not None:
+        add("speed_mps >= ?", query.min_speed_mps)
+    if query.after is not None:
+        add("(time_ns > ? OR (time_ns = ? AND track_id > ?))", query.after[0], query.after[0], query.after[1])
+    return conditions, values
+
+
+def _inside(polygon: tuple[Point, ...]) -> tuple[Any, ...]:
+    """Even-odd rule: a ray along +X crosses the polygon's edges an odd number of times."""
+    crossings, values = [], []
+    for (x0, y0), (x1, y1) in zip(polygon, (*polygon[1:], polygon[0]), strict=True):
+        if y0 == y1:
+            continue
+        crossings.append("CAST((y_m >= ?) != (y_m >= ?) AND x_m < ? + (y_m - ?) * ? AS INTEGER)")
+        values += [y0, y1, x0, y0, (x1 - x0) / (y1 - y0)]
+    return (f"({' + '.join(crossings) or '0'}) % 2 = 1", *values)
+
+
+def _marks(items: tuple[Any, ...]) -> str:
+    return ", ".join("?" * len(items))
+
+
+def _numbers(text: str, what: str) -> list[float]:
+    try:
+        numbers = [float(part) for part in text.split(",")]
+    except ValueError:
+        raise InputError(f"{what}: {text!r} is not a list of numbers") from None
+    if not all(abs(number) < 1e9 for number in numbers):
+        raise InputError(f"{what}: {text!r} has numbers out of range")
+    return numbers

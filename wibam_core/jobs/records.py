@@ -1,0 +1,168 @@
+"""What the service remembers: sites, files, uploads, jobs, their stages and events. Times are Unix seconds (UTC)."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from enum import StrEnum
+from typing import Any
+
+from wibam_core.jobs.machine import StageNode
+from wibam_core.jobs.states import JobState, StageState
+from wibam_core.site import Site
+
+
+class Purpose(StrEnum):
+    """What an uploaded file is for. Recordings belong to a camera; the others to the site."""
+
+    RECORDING = "recording"
+    LABELS = "labels"
+    DETECTOR = "detector"
+
+
+@dataclass(frozen=True)
+class SiteRecord:
+    """A site as it was described."""
+
+    id: str
+    site: Site
+    created_at: float
+
+
+@dataclass(frozen=True)
+class StoredFile:
+    """A complete uploaded file.
+
+    Attributes:
+        camera_id: of a recording; empty otherwise.
+        filename: as the client called it. For showing only: it is never part of a path.
+        suffix: what kind of file it is, found by looking at it (".parquet", ".json", ".onnx" or "").
+    """
+
+    id: str
+    site_id: str
+    purpose: Purpose
+    camera_id: str
+    filename: str
+    suffix: str
+    size_bytes: int
+    sha256: str
+    created_at: float
+
+    def __post_init__(self) -> None:
+        if (self.purpose is Purpose.RECORDING) != bool(self.camera_id):
+            raise ValueError("recordings, and only recordings, belong to a camera")
+
+
+@dataclass(frozen=True)
+class Upload:
+    """A resumable upload. ``offset`` bytes are safely on disk; it is complete when ``file_id`` is set."""
+
+    id: str
+    site_id: str
+    purpose: Purpose
+    camera_id: str
+    filename: str
+    length: int
+    offset: int
+    created_at: float
+    expires_at: float
+    file_id: str | None = None
+
+    def __post_init__(self) -> None:
+        if not 0 <= self.offset <= self.length:
+            raise ValueError(f"offset must be in [0, {self.length}], got {self.offset}")
+
+
+@dataclass(frozen=True)
+class StageRun:
+    """One stage of one job.
+
+    Attributes:
+        hash: address of its outputs; equal hashes have equal outputs.
+        forced: runs even if its outputs are published already.
+        attempts: how often a worker has claimed it since the job was (re)started.
+        fence: raised by every claim; see `wibam_core.jobs.leases`.
+        fraction, message, figures: the latest progress.
+        summary: what the stage says about its result. error: a `WibamError.to_dict`.
+    """
+
+    job_id: str
+    name: str
+    hash: str
+    requires: tuple[str, ...]
+    state: StageState
+    forced: bool = False
+    attempts: int = 0
+    fence: int = 0
+    lease_owner: str | None = None
+    lease_expires_at: float | None = None
+    fraction: float = 0.0
+    message: str = ""
+    figures: Mapping[str, float] | None = None
+    summary: Mapping[str, Any] | None = None
+    error: Mapping[str, Any] | None = None
+    started_at: float | None = None
+    finished_at: float | None = None
+
+    @property
+    def node(self) -> StageNode:
+        return StageNode(self.name, self.state, self.requires)
+
+
+@dataclass(frozen=True)
+class Job:
+    """A run of the pipeline on a site as it was when the job was created.
+
+    Attributes:
+        options: as given; `PipelineConfig.parse` reads them.
+        files: the uploaded files it works on.
+        error: why it failed: a `WibamError.to_dict` with the stage's name in its details.
+        restarts: how often it was restarted.
+    """
+
+    id: str
+    site_id: str
+    site: Site
+    options: Mapping[str, Any]
+    files: tuple[StoredFile, ...]
+    stages: tuple[StageRun, ...]
+    state: JobState
+    created_at: float
+    started_at: float | None = None
+    finished_at: float | None = None
+    error: Mapping[str, Any] | None = None
+    restarts: int = 0
+
+    def stage(self, name: str) -> StageRun | None:
+        """The stage of this name, if the job has one."""
+        return next((stage for stage in self.stages if stage.name == name), None)
+
+    @property
+    def recordings(self) -> dict[str, StoredFile]:
+        """Camera id -> recording."""
+        return {file.camera_id: file for file in self.files if file.purpose is Purpose.RECORDING}
+
+    @property
+    def assets(self) -> dict[str, StoredFile]:
+        """ "labels", "detector" -> file."""
+        return {file.purpose.value: file for file in self.files if file.purpose is not Purpose.RECORDING}
+
+
+class EventKind(StrEnum):
+    """``JOB`` and ``STAGE`` tell a change of state, ``PROGRESS`` how far a running stage is."""
+
+    JOB = "job"
+    STAGE = "stage"
+    PROGRESS = "progress"
+
+
+@dataclass(frozen=True)
+class Event:
+    """Something that happened to a job. ``sequence`` counts from 1 without gaps within the job."""
+
+    job_id: str
+    sequence: int
+    kind: EventKind
+    at: float
+    data: Mapping[str, Any]

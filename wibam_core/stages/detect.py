@@ -1,0 +1,86 @@
+"""Detect vehicles in every frame, in pixels of the recording."""
+
+from __future__ import annotations
+
+import os
+from collections import Counter
+from collections.abc import Iterator
+from concurrent.futures import ThreadPoolExecutor
+
+from wibam_core.config import DetectConfig
+from wibam_core.detection.detector import BUNDLED, Detector, load_detector
+from wibam_core.errors import InputError, NoVehicles
+from wibam_core.formats.annotations import write_annotations
+from wibam_core.formats.framestore import FrameStore
+from wibam_core.scene import CLASSES, AnnotatedInstant, Detections2D, FrameSet
+from wibam_core.stages.base import StageContext, Summary
+
+#: Instants that are in work at one time.
+_CHUNK = 16
+
+
+def run(context: StageContext, config: DetectConfig) -> Summary:
+    """Write ``detections.parquet``: 2D boxes of every frame, no multi-view vehicles yet.
+
+    Raises:
+        InputError: the options name a detector of one's own and there is none.
+        InvalidWeights: that detector cannot be used.
+        NoVehicles: no frame of any camera shows a vehicle.
+    """
+    detector = _detector(context, config)
+    store = FrameStore(context.upstream["frames"])
+    instants = list(_detect_all(store, detector, context))
+    boxes: Counter[str] = Counter()
+    classes: Counter[str] = Counter()
+    for instant in instants:
+        for camera_id, seen in instant.detections.items():
+            boxes[camera_id] += len(seen)
+            classes.update(CLASSES[number].value for number in seen.classes)
+    frames = sum(len(instant.detections) for instant in instants)
+    if not boxes.total():
+        raise NoVehicles(f"no vehicle was detected in {frames} frames of {len(store.camera_ids)} cameras")
+    write_annotations(context.output / "detections.parquet", instants)
+    return {
+        "frames": frames,
+        "boxes": boxes.total(),
+        "boxes_by_camera": {camera_id: boxes[camera_id] for camera_id in store.camera_ids},
+        "boxes_by_class": {vehicle.value: classes[vehicle.value] for vehicle in CLASSES},
+    }
+
+
+def _detector(context: StageContext, config: DetectConfig) -> Detector:
+    path = BUNDLED
+    if config.detector == "custom":
+        if "detector" not in context.assets:
+            raise InputError(
+                "detect.detector is 'custom', but the site has no detector",
+                hint="Upload detector.onnx to the site, or set detect.detector to 'bundled'.",
+            )
+        path = context.assets["detector"]
+    return load_detector(path, min_score=config.min_score, nms_iou=config.nms_iou)
+
+
+def _detect_all(store: FrameStore, detector: Detector, context: StageContext) -> Iterator[AnnotatedInstant]:
+    """All instants in order; several images side by side, each on one thread."""
+
+    def detect(frame_set: FrameSet) -> AnnotatedInstant:
+        return AnnotatedInstant(
+            frame_set.time_ns,
+            {
+                camera_id: _detect(store, detector, camera_id, frame_set.time_ns, frame_time_ns)
+                for camera_id, frame_time_ns in sorted(frame_set.frame_times_ns.items())
+            },
+        )
+
+    total = len(store.frame_sets)
+    with ThreadPoolExecutor(max_workers=len(os.sched_getaffinity(0))) as pool:
+        for start in range(0, total, _CHUNK):
+            yield from pool.map(detect, store.frame_sets[start : start + _CHUNK])
+            done = min(start + _CHUNK, total)
+            context.progress(done / total, f"{done} of {total} instants")
+
+
+def _detect(store: FrameStore, detector: Detector, camera_id: str, time_ns: int, frame_time_ns: int) -> Detections2D:
+    found = detector.detect(store.image(camera_id, time_ns))
+    boxes = store.to_native_px(camera_id, found.boxes)
+    return Detections2D(camera_id, frame_time_ns, boxes, found.scores, found.classes)

@@ -1,0 +1,171 @@
+"""Baseline and fine-tuned detector against labels, where there are any, and against the other views always."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+from wibam_core.config import EvaluateConfig
+from wibam_core.errors import TooFewInstants
+from wibam_core.evaluation.evaluate import Evaluation, evaluate
+from wibam_core.evaluation.labels_at import LabelTimeline
+from wibam_core.evaluation.self_consistency import self_consistency
+from wibam_core.evaluation.significance import significance
+from wibam_core.evaluation.summary import by_distance, by_visibility, summarise
+from wibam_core.formats.annotations import read_annotations
+from wibam_core.formats.framestore import FrameStore
+from wibam_core.formats.labels import read_labels
+from wibam_core.formats.rig import read_rig
+from wibam_core.formats.vehicles3d import write_vehicles3d
+from wibam_core.models.decode import Decode
+from wibam_core.models.inference import predict
+from wibam_core.models.stored_frames import stored_frames
+from wibam_core.models.weights import bundled, load_network
+from wibam_core.progress import Progress, part
+from wibam_core.scene import CameraRig, FrameSet, Vehicles3D
+from wibam_core.stages.base import StageContext, Summary
+
+#: Detections down to this score are kept in the files; the evaluators apply their own thresholds.
+_KEPT_SCORE = 0.1
+
+
+@dataclass(frozen=True)
+class _Method:
+    """A detector under test: weights and how its boxes are placed."""
+
+    name: str
+    weights: Path
+    decode: Decode
+
+
+def run(context: StageContext, config: EvaluateConfig) -> Summary:
+    """Write ``metrics.json``, ``predictions_baseline.parquet`` and ``predictions_finetuned.parquet``.
+
+    All frames of the test part are used. Their times in the files are the instants; the evaluators compare each frame
+    at its own time of exposure.
+
+    Raises:
+        TooFewInstants: the test part holds no instant with a frame.
+        InvalidLabels: the labels cannot be read.
+    """
+    rig = read_rig(context.upstream["calibrate"] / "rig.json")
+    store = FrameStore(context.upstream["frames"])
+    instants = _test_instants(context, store)
+    finetune = context.upstream["finetune"]
+    methods = (
+        _Method("baseline", bundled("mono_small.safetensors"), "plane"),
+        _Method("baseline_depth", bundled("mono_small.safetensors"), "depth"),
+        _Method("finetuned", finetune / "weights.safetensors", trained_decode(finetune)),
+    )
+    predictions: dict[str, list[Vehicles3D]] = {}
+    for number, method in enumerate(methods):
+        progress = part(context.progress, number / len(methods), (number + 1) / len(methods))
+        predictions[method.name] = _detect(method, store, instants, rig, progress)
+    for name in ("baseline", "finetuned"):
+        write_vehicles3d(context.output / f"predictions_{name}.parquet", predictions[name])
+    metrics = _metrics(context, config, rig, instants, predictions)
+    (context.output / "metrics.json").write_text(json.dumps(metrics, indent=1, allow_nan=False), encoding="utf-8")
+    return {
+        "labels": metrics["labels"],
+        "instants": len(instants),
+        **{name: _headline(metrics[name]) for name in ("baseline", "finetuned") if metrics[name] is not None},
+        "self_consistency": {name: value["other_views"] for name, value in metrics["self_consistency"].items()},
+    }
+
+
+def trained_decode(finetune: Path) -> Decode:
+    """How the boxes of a finetune stage's network are to be placed: as it was trained."""
+    curves = json.loads((finetune / "curves.json").read_text(encoding="utf-8"))
+    return "depth" if curves.get("decode") == "depth" else "plane"
+
+
+def _test_instants(context: StageContext, store: FrameStore) -> list[FrameSet]:
+    split = json.loads((context.upstream["dataset"] / "split.json").read_text(encoding="utf-8"))
+    times = set(split["test"])
+    instants = [instant for instant in store.frame_sets if instant.time_ns in times]
+    if not instants:
+        raise TooFewInstants("the test part of the split holds no instant with a frame")
+    return instants
+
+
+def _detect(
+    method: _Method, store: FrameStore, instants: Sequence[FrameSet], rig: CameraRig, progress: Progress
+) -> list[Vehicles3D]:
+    network = load_network(method.weights)
+    total = sum(len(rig.keys() & instant.frame_times_ns.keys()) for instant in instants)
+    found = []
+    for vehicles in predict(network, stored_frames(store, instants, rig), decode=method.decode, min_score=_KEPT_SCORE):
+        found.append(vehicles)
+        progress(len(found) / total, f"Detecting: {method.name.replace('_', ', ')}")
+    return found
+
+
+def _metrics(
+    context: StageContext,
+    config: EvaluateConfig,
+    rig: CameraRig,
+    instants: Sequence[FrameSet],
+    predictions: dict[str, list[Vehicles3D]],
+) -> dict[str, Any]:
+    times = {instant.time_ns for instant in instants}
+    annotations = [
+        instant
+        for instant in read_annotations(context.upstream["associate"] / "annotations.parquet")
+        if instant.time_ns in times
+    ]
+    consistency = {
+        name: self_consistency(_above(found, config.min_score), annotations, rig) for name, found in predictions.items()
+    }
+    labelled: dict[str, Any] = dict.fromkeys(
+        (*predictions, "paper_compat", "significance", "by_visibility", "by_distance")
+    )
+    evaluations = _evaluations(context, config, rig, instants, predictions)
+    if evaluations is not None:
+        correct, published = evaluations
+        labelled = {
+            **{name: summarise(evaluation) for name, evaluation in correct.items()},
+            "paper_compat": {name: summarise(evaluation) for name, evaluation in published.items()},
+            "significance": significance(correct["baseline"], correct["finetuned"]),
+            "by_visibility": {name: by_visibility(evaluation) for name, evaluation in correct.items()},
+            "by_distance": {name: by_distance(evaluation) for name, evaluation in correct.items()},
+        }
+    return {
+        "options": config.model_dump(),
+        "labels": "none" if evaluations is None else "hand",
+        "instants": len(instants),
+        "frames": len(next(iter(predictions.values()))),
+        **labelled,
+        "self_consistency": consistency,
+    }
+
+
+def _evaluations(
+    context: StageContext,
+    config: EvaluateConfig,
+    rig: CameraRig,
+    instants: Sequence[FrameSet],
+    predictions: dict[str, list[Vehicles3D]],
+) -> tuple[dict[str, Evaluation], dict[str, Evaluation]] | None:
+    """Correct and as published, by method; None where no frame of the test part is labelled."""
+    if "labels" not in context.assets:
+        return None
+    labels = LabelTimeline(read_labels(context.assets["labels"]))
+    exposed = {(instant.time_ns, id_): time for instant in instants for id_, time in instant.frame_times_ns.items()}
+    correct, published = {}, {}
+    for name, found in predictions.items():
+        at_exposure = [replace(v, time_ns=exposed[v.time_ns, str(v.camera_id)]) for v in found]
+        correct[name] = evaluate(at_exposure, labels, rig, config)
+        published[name] = evaluate(at_exposure, labels, rig, config, "paper_compat")
+    return (correct, published) if next(iter(correct.values())).frames else None
+
+
+def _above(found: Sequence[Vehicles3D], min_score: float) -> list[Vehicles3D]:
+    return [vehicles.where(vehicles.scores >= min_score) for vehicles in found]
+
+
+def _headline(figures: dict[str, Any]) -> dict[str, float | None]:
+    names = ("bev_iou", "iou_3d", "ate_m", "ase", "aoe_deg", "recall")
+    return {name: figures[name]["mean"] for name in names}

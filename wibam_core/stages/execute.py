@@ -1,0 +1,109 @@
+"""Run one stage: in this process (`run_stage`), or as a program of its own for a worker to watch and kill.
+
+``python -m wibam_core.stages.execute REQUEST.json`` reads a `StageRequest`, runs the stage and speaks JSON lines on
+standard output: ``{"event": "progress", "fraction", "message", "figures"}``, and last either
+``{"event": "done", "summary"}`` (exit code 0) or ``{"event": "failed", "error"}`` (exit code 1). Everything else that
+any library prints goes to standard error, which is the log.
+"""
+
+from __future__ import annotations
+
+import errno
+import importlib
+import json
+import os
+import sys
+import time
+import traceback
+from pathlib import Path
+from typing import IO, Any
+
+from pydantic import BaseModel, ConfigDict
+
+from wibam_core.config import PipelineConfig
+from wibam_core.errors import DiskFull, StageCrashed, StageOutOfMemory, WibamError
+from wibam_core.progress import Progress
+from wibam_core.site import Site
+from wibam_core.stages.base import StageContext, Summary
+from wibam_core.stages.graph import STAGES
+
+_SECONDS_BETWEEN_REPORTS = 0.2
+
+
+class StageRequest(BaseModel):
+    """What a stage's process is told. Paths are the service's own, never a user's."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+    stage: str
+    site: Site
+    config: PipelineConfig
+    recordings: dict[str, Path]
+    assets: dict[str, Path] = {}
+    upstream: dict[str, Path]
+    output: Path
+    scratch: Path
+
+    def context(self, progress: Progress) -> StageContext:
+        return StageContext(self.site, self.recordings, self.assets, self.upstream, self.output, self.scratch, progress)
+
+
+def run_stage(stage: str, context: StageContext, config: PipelineConfig) -> Summary:
+    """Run a stage in this process.
+
+    Raises:
+        WibamError: whatever went wrong, as the tree of errors says it.
+    """
+    module = importlib.import_module(f"wibam_core.stages.{stage}")
+    try:
+        summary: Summary = module.run(context, STAGES[stage].config(config))
+    except WibamError:
+        raise
+    except MemoryError as error:
+        raise StageOutOfMemory(f"the stage {stage} ran out of memory") from error
+    except OSError as error:
+        if error.errno in (errno.ENOSPC, errno.EDQUOT):
+            raise DiskFull(f"no space left for the stage {stage}: {error.filename or context.output}") from error
+        raise StageCrashed(f"the stage {stage} stopped: {error}") from error
+    except Exception as error:
+        traceback.print_exc()
+        raise StageCrashed(f"the stage {stage} stopped: {type(error).__name__}: {error}") from error
+    return summary
+
+
+class _Reporter:
+    """Progress as JSON lines, a few a second at most; the last one always."""
+
+    def __init__(self, stream: IO[str]) -> None:
+        self._stream = stream
+        self._last = 0.0
+
+    def emit(self, event: str, **fields: Any) -> None:
+        self._stream.write(json.dumps({"event": event, **fields}) + "\n")
+        self._stream.flush()
+
+    def __call__(self, fraction: float, message: str = "", **figures: float) -> None:
+        now = time.monotonic()
+        if fraction < 1.0 and now - self._last < _SECONDS_BETWEEN_REPORTS:
+            return
+        self._last = now
+        plain = {name: float(value) for name, value in figures.items()}
+        self.emit("progress", fraction=float(min(max(fraction, 0.0), 1.0)), message=message, figures=plain)
+
+
+def main(arguments: list[str]) -> int:
+    """The program: see the module's docstring."""
+    reporter = _Reporter(os.fdopen(os.dup(1), "w"))
+    os.dup2(2, 1)
+    request = StageRequest.model_validate_json(Path(arguments[0]).read_bytes())
+    try:
+        summary = run_stage(request.stage, request.context(reporter), request.config)
+    except WibamError as error:
+        reporter.emit("failed", error=error.to_dict())
+        return 1
+    reporter.emit("done", summary=summary)
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main(sys.argv[1:]))

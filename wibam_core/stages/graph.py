@@ -1,0 +1,192 @@
+"""The pipeline as a graph. Pure: importing this module imports no stage.
+
+A stage's outputs are addressed by a hash of everything they depend on: its code, its options, its part of the
+site description, the files it reads and the hashes of the stages before it. Nothing else can change them, so a
+job restarts from the first stage whose hash is not in the store.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from functools import cache
+from pathlib import Path
+from types import MappingProxyType
+from typing import Any
+
+from wibam_core.config import PipelineConfig, StageConfig
+from wibam_core.errors import UnknownOption
+from wibam_core.site import Site
+
+_CORE = Path(__file__).resolve().parent.parent
+#: Code that every stage depends on, relative to wibam_core/.
+_COMMON_CODE = ("errors.py", "scene.py", "site.py", "geometry", "formats", "stages/base.py")
+
+
+def _nothing(site: Site) -> Any:
+    return None
+
+
+def _sizes(site: Site) -> Any:
+    return [(c.id, c.width_px, c.height_px) for c in site.cameras]
+
+
+def _signals(site: Site) -> Any:
+    return [(c.id, c.width_px, c.height_px, [s.model_dump() for s in c.signals]) for c in site.cameras]
+
+
+def _calibration(site: Site) -> Any:
+    return [(c.id, c.width_px, c.height_px, c.calibration.model_dump()) for c in site.cameras]
+
+
+def _everything(site: Site) -> Any:
+    return site.model_dump()
+
+
+@dataclass(frozen=True)
+class StageSpec:
+    """One stage.
+
+    Attributes:
+        name: of the module in `wibam_core.stages`, of the options in `PipelineConfig`, and of the output folder.
+        requires: stages whose outputs it reads.
+        code: files and packages (relative to wibam_core/) whose change changes its outputs.
+        site_part: what of the site description it depends on.
+        reads_recordings: whether it opens the uploaded videos.
+        assets: other uploaded files that it reads where there are any.
+        title: what it does, for a person.
+    """
+
+    name: str
+    title: str
+    requires: tuple[str, ...] = ()
+    code: tuple[str, ...] = ()
+    site_part: Callable[[Site], Any] = _nothing
+    reads_recordings: bool = False
+    assets: tuple[str, ...] = ()
+
+    def config(self, config: PipelineConfig) -> StageConfig:
+        """This stage's part of the options."""
+        part = getattr(config, self.name)
+        assert isinstance(part, StageConfig)
+        return part
+
+
+_NETWORK = ("models", "detection")
+_SPECS = (
+    StageSpec("preflight", "Check the recordings", (), ("video",), _sizes, reads_recordings=True),
+    StageSpec("sync", "Synchronise the cameras", ("preflight",), ("sync", "video"), _signals, reads_recordings=True),
+    StageSpec("calibrate", "Calibrate the cameras", ("preflight",), ("calibration",), _calibration),
+    StageSpec("frames", "Read the frames", ("preflight", "sync"), ("video",), _sizes, reads_recordings=True),
+    StageSpec("detect", "Detect vehicles in 2D", ("frames",), ("detection", "models/bundled"), assets=("detector",)),
+    StageSpec("associate", "Associate views and link over time", ("calibrate", "detect"), ("association",)),
+    StageSpec("dataset", "Split in time", ("calibrate", "associate"), ("dataset",)),
+    StageSpec("lift", "Fit 7DoF boxes to all views", ("calibrate", "associate", "dataset"), ("lifting",)),
+    StageSpec(
+        "finetune",
+        "Fine-tune the 3D detector",
+        ("calibrate", "frames", "associate", "dataset", "lift"),
+        ("models", "training"),
+    ),
+    StageSpec(
+        "evaluate",
+        "Evaluate",
+        ("calibrate", "frames", "associate", "dataset", "finetune"),
+        ("models", "evaluation"),
+        assets=("labels",),
+    ),
+    StageSpec("track", "Track in 7DoF", ("calibrate", "frames", "finetune"), ("models", "tracking")),
+    StageSpec("safety", "Find conflicts", ("track",), ("safety",)),
+    StageSpec(
+        "report",
+        "Write the report",
+        (
+            "preflight",
+            "sync",
+            "calibrate",
+            "frames",
+            "detect",
+            "associate",
+            "dataset",
+            "lift",
+            "finetune",
+            "evaluate",
+            "track",
+            "safety",
+        ),
+        ("report",),
+        _everything,
+        assets=("labels",),
+    ),
+)
+
+#: All stages by name, each after those it requires.
+STAGES: Mapping[str, StageSpec] = MappingProxyType({spec.name: spec for spec in _SPECS})
+
+
+@dataclass(frozen=True)
+class InputDigests:
+    """SHA-256 (hex) of the uploaded files: recordings by camera id, assets by name."""
+
+    recordings: Mapping[str, str]
+    assets: Mapping[str, str]
+
+
+@dataclass(frozen=True)
+class PlannedStage:
+    """A stage of one job: its output's address and those of its inputs (stage name -> hash)."""
+
+    name: str
+    digest: str
+    upstream: Mapping[str, str]
+
+
+def plan(site: Site, config: PipelineConfig, inputs: InputDigests) -> tuple[PlannedStage, ...]:
+    """All stages of a job in order, with the addresses of their outputs."""
+    planned: dict[str, PlannedStage] = {}
+    for spec in STAGES.values():
+        upstream = {name: planned[name].digest for name in spec.requires}
+        facts = {
+            "stage": spec.name,
+            "code": code_digest(spec.name),
+            "options": spec.config(config).model_dump(),
+            "site": spec.site_part(site),
+            "recordings": dict(inputs.recordings) if spec.reads_recordings else None,
+            "assets": {name: inputs.assets[name] for name in spec.assets if name in inputs.assets},
+            "upstream": upstream,
+        }
+        canonical = json.dumps(facts, sort_keys=True, separators=(",", ":"), allow_nan=False)
+        digest = hashlib.sha256(canonical.encode()).hexdigest()
+        planned[spec.name] = PlannedStage(spec.name, digest, MappingProxyType(upstream))
+    return tuple(planned.values())
+
+
+@cache
+def code_digest(stage: str) -> str:
+    """SHA-256 of the source and bundled data that a stage's outputs depend on."""
+    digest = hashlib.sha256()
+    for part in sorted({*_COMMON_CODE, f"stages/{stage}.py", *STAGES[stage].code}):
+        root = _CORE / part
+        files = [root] if root.is_file() else sorted(root.rglob("*"))
+        for path in files:
+            if path.suffix in {".py", ".safetensors", ".onnx", ".j2"} and path.is_file():
+                digest.update(path.relative_to(_CORE).as_posix().encode())
+                digest.update(hashlib.sha256(path.read_bytes()).digest())
+    return digest.hexdigest()
+
+
+def downstream(stage: str) -> tuple[str, ...]:
+    """A stage and all that depend on it, in order.
+
+    Raises:
+        UnknownOption: if there is no such stage.
+    """
+    if stage not in STAGES:
+        raise UnknownOption(f"there is no stage {stage!r}", hint=f"The stages are {', '.join(STAGES)}.", stage=stage)
+    found = {stage}
+    for spec in STAGES.values():
+        if found & set(spec.requires):
+            found.add(spec.name)
+    return tuple(name for name in STAGES if name in found)

@@ -1,0 +1,81 @@
+"""Check the recordings before anything long begins."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import asdict
+from pathlib import Path
+
+from wibam_core.config import PreflightConfig
+from wibam_core.errors import InputError, MissingCamera, NoOverlap, UnreadableVideo
+from wibam_core.site import SiteCamera
+from wibam_core.stages.base import StageContext, Summary
+from wibam_core.video.probe import VideoInfo, probe
+
+
+def run(context: StageContext, config: PreflightConfig) -> Summary:
+    """Write ``probe.json``: camera id -> the fields of `wibam_core.video.probe.VideoInfo`.
+
+    Raises:
+        MissingCamera: cameras of the site without a recording.
+        UnreadableVideo: a recording that cannot be read.
+        InputError: a recording of another size than its calibration.
+        NoOverlap: a recording shorter than the time that all must share.
+    """
+    missing = [camera_id for camera_id in context.site.camera_ids if camera_id not in context.recordings]
+    if missing:
+        raise MissingCamera(f"there is no recording of camera {', '.join(missing)}", cameras=missing)
+    infos: dict[str, VideoInfo] = {}
+    for number, camera in enumerate(context.site.cameras):
+        context.progress(number / len(context.site.cameras), f"camera {camera.id}")
+        info = _probe(camera.id, context.recordings[camera.id])
+        _check_size(camera, info)
+        if info.duration_s < config.min_overlap_s:
+            raise NoOverlap(
+                f"the recording of camera {camera.id} lasts {info.duration_s:.1f} s; all cameras must share at least "
+                f"{config.min_overlap_s:g} s",
+                hint="Record for longer, or lower preflight.min_overlap_s.",
+                camera=camera.id,
+            )
+        infos[camera.id] = info
+    document = {camera_id: asdict(info) for camera_id, info in infos.items()}
+    (context.output / "probe.json").write_text(json.dumps(document, indent=1), encoding="utf-8")
+    context.progress(1.0)
+    return {
+        "cameras": {
+            camera_id: f"{info.codec} {info.width_px}x{info.height_px} {info.fps:.2f} fps {info.duration_s:.1f} s"
+            for camera_id, info in infos.items()
+        },
+        "shortest_s": min(info.duration_s for info in infos.values()),
+        "warnings": [warning for camera_id, info in infos.items() for warning in _warnings(camera_id, info)],
+    }
+
+
+def _probe(camera_id: str, path: Path) -> VideoInfo:
+    try:
+        return probe(path)
+    except UnreadableVideo as error:
+        raise UnreadableVideo(f"camera {camera_id}: {error.message}", hint=error.hint, camera=camera_id) from error
+
+
+def _check_size(camera: SiteCamera, info: VideoInfo) -> None:
+    if (info.width_px, info.height_px) == (camera.width_px, camera.height_px):
+        return
+    turned = f" once turned by {info.rotation_deg}°, as it is shown" if info.rotation_deg else ""
+    raise InputError(
+        f"the recording of camera {camera.id} is {info.width_px}x{info.height_px} px{turned}, but the site says "
+        f"{camera.width_px}x{camera.height_px} px",
+        hint="Calibration and signal regions hold for one image size: correct the site, or upload the original file.",
+        camera=camera.id,
+        recording_px=[info.width_px, info.height_px],
+        site_px=[camera.width_px, camera.height_px],
+    )
+
+
+def _warnings(camera_id: str, info: VideoInfo) -> list[str]:
+    warnings = []
+    if info.missing_frames:
+        warnings.append(f"camera {camera_id}: the file was cut off; its last {info.missing_frames} frames are missing")
+    if info.largest_gap_s > 1.0:
+        warnings.append(f"camera {camera_id}: no frame for {info.largest_gap_s:.1f} s")
+    return warnings

@@ -1,0 +1,144 @@
+"""The whole pipeline in this process: `wibam run` without any service."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+from wibam_core.config import PipelineConfig
+from wibam_core.errors import MissingCamera, WibamError
+from wibam_core.progress import Progress
+from wibam_core.site import Site
+from wibam_core.stages.base import StageContext, Summary
+from wibam_core.stages.execute import run_stage
+from wibam_core.stages.graph import STAGES, InputDigests, plan
+from wibam_core.stages.store import StageStore, sha256_of
+
+#: Names of the optional files of a site folder.
+ASSET_FILES: Mapping[str, tuple[str, ...]] = {
+    "labels": ("labels.parquet", "labels.json"),
+    "detector": ("detector.onnx",),
+}
+
+
+@dataclass(frozen=True)
+class SiteFolder:
+    """A site on disk: its description and files."""
+
+    site: Site
+    recordings: Mapping[str, Path]
+    assets: Mapping[str, Path]
+
+    @classmethod
+    def load(cls, folder: Path) -> SiteFolder:
+        """Read ``site.json`` and find the recordings and assets beside it.
+
+        Raises:
+            SiteFileError: if the description is wrong.
+            MissingCamera: if a camera has no recording.
+        """
+        site = Site.load(folder / "site.json")
+        recordings = {}
+        for camera_id in site.camera_ids:
+            found = sorted(p for p in (folder / "recordings").glob(f"{camera_id}.*") if p.is_file())
+            if not found:
+                raise MissingCamera(f"there is no recording of camera {camera_id}", camera=camera_id)
+            recordings[camera_id] = found[0]
+        assets = {
+            name: folder / file
+            for name, files in ASSET_FILES.items()
+            for file in reversed(files)
+            if (folder / file).is_file()
+        }
+        return cls(site, recordings, assets)
+
+    def digests(self) -> InputDigests:
+        """SHA-256 of every file."""
+        return InputDigests(
+            {camera: sha256_of(path) for camera, path in self.recordings.items()},
+            {name: sha256_of(path) for name, path in self.assets.items()},
+        )
+
+
+@dataclass(frozen=True)
+class StageUpdate:
+    """How a stage is doing. ``state`` is "running", "reused", "succeeded" or "failed"."""
+
+    stage: str
+    state: str
+    fraction: float = 0.0
+    message: str = ""
+    figures: Mapping[str, float] = field(default_factory=dict)
+    summary: Mapping[str, Any] = field(default_factory=dict)
+    seconds: float = 0.0
+
+
+@dataclass(frozen=True)
+class PipelineResult:
+    """Published folders, summaries and running times (s) by stage."""
+
+    folders: Mapping[str, Path]
+    summaries: Mapping[str, Summary]
+    seconds: Mapping[str, float]
+
+
+def _progress_of(stage: str, listener: Callable[[StageUpdate], None]) -> Progress:
+    def report(fraction: float, message: str = "", **figures: float) -> None:
+        listener(StageUpdate(stage, "running", fraction, message, figures))
+
+    return report
+
+
+def run_pipeline(
+    folder: SiteFolder,
+    store: StageStore,
+    config: PipelineConfig,
+    listener: Callable[[StageUpdate], None] = lambda update: None,
+    *,
+    until: str | None = None,
+) -> PipelineResult:
+    """Run every stage that the store does not hold yet, in order, up to and with ``until``.
+
+    Raises:
+        WibamError: of the stage that failed; finished stages stay in the store.
+    """
+    folders: dict[str, Path] = {}
+    summaries: dict[str, Summary] = {}
+    seconds: dict[str, float] = {}
+    for planned in plan(folder.site, config, folder.digests()):
+        name = planned.name
+        found = store.find(name, planned.digest)
+        if found is None:
+            attempt = store.begin(name, planned.digest)
+            report = _progress_of(name, listener)
+            context = StageContext(
+                folder.site,
+                folder.recordings,
+                {k: v for k, v in folder.assets.items() if k in STAGES[name].assets},
+                {required: folders[required] for required in STAGES[name].requires},
+                attempt.output,
+                attempt.scratch,
+                report,
+            )
+            report(0.0)
+            started = time.monotonic()
+            try:
+                summary = run_stage(name, context, config)
+                found = store.publish(attempt, summary, time.monotonic() - started)
+            except WibamError as error:
+                listener(StageUpdate(name, "failed", message=error.message))
+                raise
+            finally:
+                store.discard(attempt)
+            state = "succeeded"
+        else:
+            state = "reused"
+        manifest = store.manifest(name, planned.digest)
+        folders[name], summaries[name], seconds[name] = found, manifest["summary"], manifest["seconds"]
+        listener(StageUpdate(name, state, 1.0, summary=manifest["summary"], seconds=manifest["seconds"]))
+        if name == until:
+            break
+    return PipelineResult(folders, summaries, seconds)

@@ -1,0 +1,104 @@
+"""Stage ``sync``: recordings and signal regions to a clock map per camera."""
+
+from __future__ import annotations
+
+import json
+import threading
+from collections.abc import Iterable, Iterator, Mapping
+from concurrent.futures import ThreadPoolExecutor
+
+import numpy as np
+from numpy.typing import NDArray
+
+from wibam_core.config import SyncConfig
+from wibam_core.errors import MissingCamera, NoSignalChange
+from wibam_core.formats.clocks import write_clocks
+from wibam_core.progress import Progress
+from wibam_core.scene import ClockMap, SignalChange
+from wibam_core.site import SiteCamera
+from wibam_core.stages.base import StageContext, Summary
+from wibam_core.sync.changes import detect_changes
+from wibam_core.sync.document import sync_document
+from wibam_core.sync.offsets import estimate_clocks
+from wibam_core.video.decode import decode
+
+Frame = tuple[int, NDArray[np.uint8]]
+
+_DECODERS = 2
+_FRAMES_PER_REPORT = 50
+
+
+def run(context: StageContext, config: SyncConfig) -> Summary:
+    """Write ``clocks.json`` and ``changes.json``.
+
+    Raises:
+        NoSignalChange: naming a camera without a signal region, without a change in view, or without one in common.
+        MissingCamera: if a camera has no recording.
+    """
+    if config.method == "none":
+        write_clocks(context.output / "clocks.json", {camera_id: ClockMap() for camera_id in context.site.camera_ids})
+        document = {
+            "method": "none",
+            "reference": context.site.camera_ids[0],
+            "changes": {},
+            "groups": [],
+            "cameras": {},
+        }
+        (context.output / "changes.json").write_text(json.dumps(document), encoding="utf-8")
+        return {"method": "none"}
+
+    changes = _detect_all(context)
+    confident = {
+        camera_id: [c for c in seen if c.confidence >= config.min_confidence] for camera_id, seen in changes.items()
+    }
+    result = estimate_clocks(confident, context.site.camera_ids[0], config.max_offset_s)
+    document = sync_document(changes, result)
+    write_clocks(context.output / "clocks.json", result.clocks, result.errors)
+    (context.output / "changes.json").write_text(json.dumps(document, indent=1), encoding="utf-8")
+    return {"method": "signals", "matched_changes": len(result.groups), "cameras": document["cameras"]}
+
+
+def _detect_all(context: StageContext) -> dict[str, list[SignalChange]]:
+    cameras = context.site.cameras
+    for camera in cameras:
+        if not camera.signals:
+            raise NoSignalChange(
+                f"camera {camera.id} has no signal region",
+                hint="Draw a region around a signal head in this camera, or set sync.method to 'none'.",
+                camera=camera.id,
+            )
+        if camera.id not in context.recordings:
+            raise MissingCamera(f"there is no recording for camera {camera.id}", camera=camera.id)
+    probe = json.loads((context.upstream["preflight"] / "probe.json").read_bytes())
+    ends_ns = {camera.id: (int(probe[camera.id]["first_ns"]), int(probe[camera.id]["last_ns"])) for camera in cameras}
+    progress = _SharedProgress(context.progress, ends_ns)
+
+    def detect(camera: SiteCamera) -> list[SignalChange]:
+        frames = progress.watch(camera.id, decode(context.recordings[camera.id]))
+        return detect_changes(frames, camera.id, camera.signals)
+
+    with ThreadPoolExecutor(_DECODERS) as pool:
+        return dict(zip(context.site.camera_ids, pool.map(detect, cameras), strict=True))
+
+
+class _SharedProgress:
+    """How far all cameras are, told from several threads."""
+
+    def __init__(self, listener: Progress, ends_ns: Mapping[str, tuple[int, int]]) -> None:
+        self._listener, self._ends_ns = listener, ends_ns
+        self._done = dict.fromkeys(ends_ns, 0.0)
+        self._lock = threading.Lock()
+
+    def watch(self, camera_id: str, frames: Iterable[Frame]) -> Iterator[Frame]:
+        """Pass ``frames`` on, telling how far they are."""
+        first_ns, last_ns = self._ends_ns[camera_id]
+        for number, frame in enumerate(frames):
+            if number % _FRAMES_PER_REPORT == 0:
+                self._tell(camera_id, (frame[0] - first_ns) / max(last_ns - first_ns, 1))
+            yield frame
+        self._tell(camera_id, 1.0)
+
+    def _tell(self, camera_id: str, share: float) -> None:
+        with self._lock:
+            self._done[camera_id] = min(max(share, 0.0), 1.0)
+            self._listener(sum(self._done.values()) / len(self._done), f"watching the signals in {camera_id}")

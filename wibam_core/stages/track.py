@@ -1,0 +1,59 @@
+"""All cameras' frames through the fine-tuned detector, to smoothed 7DoF tracks."""
+
+from __future__ import annotations
+
+import json
+from collections import Counter
+from collections.abc import Sequence
+from itertools import groupby
+
+from wibam_core.config import TrackConfig
+from wibam_core.formats.framestore import FrameStore
+from wibam_core.formats.rig import read_rig
+from wibam_core.formats.tracks import write_tracks
+from wibam_core.models.decode import Decode
+from wibam_core.models.inference import predict
+from wibam_core.models.stored_frames import stored_frames
+from wibam_core.models.weights import load_network
+from wibam_core.scene import FrameSet
+from wibam_core.stages.base import StageContext, Summary
+from wibam_core.tracking.tracker import Tracker
+
+
+def run(context: StageContext, config: TrackConfig) -> Summary:
+    """Write ``tracks.parquet``: every vehicle at ``config.rate_hz``, with no track where nothing was seen."""
+    rig = read_rig(context.upstream["calibrate"] / "rig.json")
+    store = FrameStore(context.upstream["frames"])
+    finetune = context.upstream["finetune"]
+    curves = json.loads((finetune / "curves.json").read_text(encoding="utf-8"))
+    decode: Decode = "depth" if curves.get("decode") == "depth" else "plane"
+    instants = thin(store.frame_sets, config.rate_hz)
+    frame_times = {instant.time_ns: instant.frame_times_ns for instant in instants}
+    total = sum(len(rig.keys() & instant.frame_times_ns.keys()) for instant in instants)
+    tracker = Tracker(config)
+    network = load_network(finetune / "weights.safetensors")
+    found = predict(network, stored_frames(store, instants, rig), decode=decode, min_score=config.min_score)
+    done = 0
+    for time_ns, detections in groupby(found, key=lambda vehicles: vehicles.time_ns):
+        of_instant = list(detections)
+        tracker.step(time_ns, of_instant, frame_times[time_ns])
+        done += len(of_instant)
+        context.progress(done / total, f"Tracking: {done} of {total} images")
+    tracks = tracker.tracks()
+    write_tracks(context.output / "tracks.parquet", tracks)
+    classes = Counter(track.vehicle_class.value for track in tracks)
+    return {"tracks": len(tracks), "instants": len(instants), "by_class": dict(sorted(classes.items()))}
+
+
+def thin(instants: Sequence[FrameSet], rate_hz: float) -> list[FrameSet]:
+    """Instants (ascending) at most ``rate_hz`` a second: the first at or after each multiple of the period."""
+    period_ns = 1e9 / rate_hz
+    kept: list[FrameSet] = []
+    last = None
+    for instant in instants:
+        # half a microsecond of tolerance: sampling periods are rounded to whole ns
+        slot = int((instant.time_ns + 500) // period_ns)
+        if slot != last:
+            kept.append(instant)
+            last = slot
+    return kept
