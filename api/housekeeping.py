@@ -1,0 +1,48 @@
+"""What has to be done now and then, in a thread of its own: lost stages, lost messages, forgotten uploads."""
+
+from __future__ import annotations
+
+import logging
+import threading
+
+from api.services import Services
+
+_REAP_EVERY_S = 3.0
+_TIDY_EVERY = 100  # reaps
+_log = logging.getLogger(__name__)
+
+
+class Housekeeper:
+    """Reaps expired leases, tidies uploads and what killed attempts left.
+
+    Any number may run at once, in any number of processes.
+    """
+
+    def __init__(self, services: Services) -> None:
+        self._services = services
+        self._stop = threading.Event()
+        self._thread = threading.Thread(target=self._run, name="housekeeping", daemon=True)
+
+    def start(self) -> None:
+        self._thread.start()
+
+    def stop(self) -> None:
+        self._stop.set()
+        self._thread.join(timeout=10.0)
+
+    def round(self, number: int) -> None:
+        """One round; the first, and every so often another, a thorough one."""
+        services = self._services
+        services.queue.dispatch(services.leases.reap(resend_all=number == 0))
+        if number % _TIDY_EVERY == 0:
+            services.uploads.tidy()
+            services.stages.sweep(services.leases.running_hashes)
+
+    def _run(self) -> None:
+        number = 0
+        while not self._stop.wait(_REAP_EVERY_S if number else 0.0):
+            try:
+                self.round(number)
+            except Exception:  # whatever it was: the next round comes
+                _log.exception("housekeeping failed")
+            number += 1

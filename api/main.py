@@ -1,0 +1,114 @@
+"""The application: ``python -m uvicorn --factory api.main:create``, or `create_app` with settings of one's own."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import AsyncIterator
+from contextlib import asynccontextmanager
+from typing import Any
+
+from fastapi import FastAPI
+from fastapi.openapi.utils import get_openapi
+from starlette.concurrency import run_in_threadpool
+from starlette.responses import HTMLResponse, RedirectResponse
+
+from api.docs_page import DOCS_PAGE
+from api.housekeeping import Housekeeper
+from api.problems import Problem, add_handlers
+from api.routes import jobs, results, sites, system, uploads
+from api.security import Gate
+from api.services import Services
+from wibam_core import __version__
+from wibam_core.adapters.settings import ServiceSettings
+
+_DESCRIPTION = """
+Fine-tune a monocular 3D vehicle detector for an intersection, from recordings of a few ordinary cameras and their
+calibration, without hand labels; get 7DoF tracks and the conflicts between road users.
+
+1. `POST /v1/sites`: describe the cameras.
+2. `POST /v1/uploads` (tus 1.0): send a recording for each camera.
+3. `POST /v1/sites/{id}/jobs`: start. `GET /v1/jobs/{id}/events` tells how it goes.
+4. `GET /v1/jobs/{id}/metrics`, `/model`, `/tracks`, `/conflicts`, `/report`: the results.
+
+Everything under `/v1` needs `Authorization: Bearer TOKEN`. Errors are `application/problem+json` (RFC 9457) with a
+stable `code`, a sentence and a `hint`.
+"""
+
+
+def create_app(settings: ServiceSettings) -> FastAPI:
+    """The application for these settings. On start it brings the database up to date."""
+    services = Services.connect(settings)
+
+    @asynccontextmanager
+    async def lifespan(app: FastAPI) -> AsyncIterator[None]:
+        await run_in_threadpool(services.database.migrate)
+        housekeeper = Housekeeper(services)
+        housekeeper.start()
+        yield
+        await run_in_threadpool(housekeeper.stop)
+        services.database.close()
+
+    app = FastAPI(
+        title="WIBAM",
+        summary="Recordings in; fine-tuned 3D detector, 7DoF tracks and conflicts out.",
+        description=_DESCRIPTION,
+        version=__version__,
+        license_info={"name": "Apache-2.0", "identifier": "Apache-2.0"},
+        docs_url=None,  # its page loads scripts from elsewhere; ours does not
+        redoc_url=None,
+        lifespan=lifespan,
+    )
+    app.state.services = services
+    add_handlers(app)
+    for router in (
+        sites.router,
+        uploads.router,
+        jobs.router,
+        results.router,
+        results.public_router,
+        system.options_router,
+        system.router,
+    ):
+        app.include_router(router)
+    app.add_api_route("/", lambda: RedirectResponse("/docs"), include_in_schema=False)
+    app.add_api_route("/docs", lambda: HTMLResponse(DOCS_PAGE), include_in_schema=False)
+    app.openapi = lambda: _openapi(app)  # type: ignore[method-assign]
+    app.add_middleware(Gate, token_sha256=settings.token_sha256)
+    return app
+
+
+def create() -> FastAPI:
+    """The application for the settings in the environment."""
+    return create_app(ServiceSettings.from_environment(os.environ))
+
+
+def _openapi(app: FastAPI) -> dict[str, Any]:
+    """The OpenAPI document, with what FastAPI cannot know: the token and the form of errors."""
+    if app.openapi_schema is None:
+        document = get_openapi(
+            title=app.title,
+            version=app.version,
+            summary=app.summary,
+            description=app.description,
+            license_info=app.license_info,
+            routes=app.routes,
+        )
+        components = document["components"]
+        components["schemas"]["Problem"] = Problem.model_json_schema()
+        for unused in ("HTTPValidationError", "ValidationError"):
+            components["schemas"].pop(unused, None)
+        components["securitySchemes"] = {"token": {"type": "http", "scheme": "bearer"}}
+        for path, operations in document["paths"].items():
+            for operation in operations.values():
+                _with_problems(operation)
+                if path.startswith("/v1/"):
+                    operation["security"] = [{"token": []}]
+        app.openapi_schema = document
+    return app.openapi_schema
+
+
+def _with_problems(operation: dict[str, Any]) -> None:
+    invalid = operation["responses"].get("422", {})
+    if "application/json" in invalid.get("content", {}):
+        schema = {"schema": {"$ref": "#/components/schemas/Problem"}}
+        invalid["description"], invalid["content"] = "Unprocessable Content", {"application/problem+json": schema}

@@ -1,0 +1,148 @@
+"""Errors as RFC 9457 problem details. Every error of the core is mapped to a status here, and nowhere else."""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Mapping
+from http import HTTPStatus
+from typing import Any
+
+from fastapi import FastAPI, Request
+from fastapi.encoders import jsonable_encoder
+from fastapi.exceptions import RequestValidationError
+from pydantic import BaseModel, ConfigDict, Field
+from sqlalchemy.exc import OperationalError
+from starlette.exceptions import HTTPException
+from starlette.responses import JSONResponse
+
+from wibam_core.errors import InputError, ServiceUnavailable, WibamError
+
+MEDIA_TYPE = "application/problem+json"
+_log = logging.getLogger(__name__)
+
+#: Status by `WibamError.code`; other `InputError`s are 422, everything else is 500.
+STATUS: Mapping[str, int] = {
+    "unauthorised": 401,
+    "not_found": 404,
+    "conflict": 409,
+    "upload_expired": 410,
+    "tus_version": 412,
+    "quota_exceeded": 413,
+    "too_large": 413,
+    "wrong_content_type": 415,
+    "locked": 423,
+    "checksum_mismatch": 460,
+    "service_unavailable": 503,
+    "disk_full": 507,
+}
+_CODE_OF_STATUS = {401: "unauthorised", 404: "not_found", 405: "method_not_allowed", 413: "too_large"}
+
+
+class Problem(BaseModel):
+    """What went wrong (RFC 9457), and what to do about it."""
+
+    model_config = ConfigDict(
+        json_schema_extra={
+            "examples": [
+                {
+                    "type": "urn:wibam:problem:missing_camera",
+                    "title": "Unprocessable Content",
+                    "status": 422,
+                    "detail": "there is no recording of camera north",
+                    "code": "missing_camera",
+                    "hint": "Upload a recording for every camera the site names, or remove the camera from the site.",
+                    "details": {"cameras": ["north"]},
+                }
+            ]
+        }
+    )
+
+    type: str = Field(description="a stable name of the kind of problem: `urn:wibam:problem:` and the code")
+    title: str = Field(description="the status in words")
+    status: int
+    detail: str = Field(description="one sentence for a person")
+    code: str = Field(description="stable, for programs")
+    hint: str = Field("", description="what can be done about it")
+    details: dict[str, Any] = Field({}, description="facts, for programs")
+
+
+def problem(error: WibamError, status: int | None = None, headers: Mapping[str, str] | None = None) -> JSONResponse:
+    """An error as a response."""
+    status = status_of(error) if status is None else status
+    body = Problem(
+        type=f"urn:wibam:problem:{error.code}",
+        title=_title(status),
+        status=status,
+        detail=error.message,
+        code=error.code,
+        hint=error.hint,
+        details=jsonable_encoder(error.details),
+    )
+    headers = dict(headers or {})
+    if status == 401:
+        headers["WWW-Authenticate"] = "Bearer"
+    return JSONResponse(body.model_dump(), status, headers, MEDIA_TYPE)
+
+
+def status_of(error: WibamError) -> int:
+    """The HTTP status of an error of the core."""
+    return STATUS.get(error.code, 422 if isinstance(error, InputError) else 500)
+
+
+def documented(*statuses: int) -> dict[int | str, dict[str, Any]]:
+    """The error responses of a route, for OpenAPI."""
+    schema = {"schema": {"$ref": "#/components/schemas/Problem"}}
+    return {status: {"description": _title(status), "content": {MEDIA_TYPE: schema}} for status in statuses}
+
+
+def add_handlers(app: FastAPI) -> None:
+    """Let every error leave the application as a problem."""
+    app.add_exception_handler(WibamError, _wibam_error)
+    app.add_exception_handler(RequestValidationError, _validation_error)
+    app.add_exception_handler(HTTPException, _http_error)
+    app.add_exception_handler(OperationalError, _database_error)
+    app.add_exception_handler(Exception, _unexpected)
+
+
+def first_problem(errors: list[Any]) -> tuple[str, str]:
+    """Field and problem of the first validation error."""
+    first = errors[0]
+    return ".".join(str(part) for part in first["loc"]), str(first["msg"])
+
+
+async def _wibam_error(request: Request, error: Exception) -> JSONResponse:
+    assert isinstance(error, WibamError)
+    return problem(error)
+
+
+async def _validation_error(request: Request, error: Exception) -> JSONResponse:
+    assert isinstance(error, RequestValidationError)
+    errors = list(error.errors())
+    field, what = first_problem(errors)
+    fields = [{"field": ".".join(map(str, e["loc"])), "problem": e["msg"]} for e in errors[:20]]
+    if errors[0]["type"] == "json_invalid":
+        return problem(_coded("invalid_json", "the body is not valid JSON", errors=fields), 400)
+    return problem(InputError(f"{field}: {what}", hint="Correct this field; /docs describes them all.", errors=fields))
+
+
+async def _http_error(request: Request, error: Exception) -> JSONResponse:
+    assert isinstance(error, HTTPException)
+    code = _CODE_OF_STATUS.get(error.status_code, "http_error")
+    return problem(_coded(code, str(error.detail)), error.status_code, error.headers)
+
+
+async def _database_error(request: Request, error: Exception) -> JSONResponse:
+    _log.error("the database failed", exc_info=error)
+    return problem(ServiceUnavailable("the database does not answer", hint="Try again in a moment."))
+
+
+async def _unexpected(request: Request, error: Exception) -> JSONResponse:
+    return problem(WibamError("something went wrong inside the service", hint="The service's log tells more."), 500)
+
+
+def _coded(code: str, message: str, **details: Any) -> WibamError:
+    return WibamError.from_dict({"code": code, "message": message, "hint": "", "details": details})
+
+
+def _title(status: int) -> str:
+    return "Checksum Mismatch" if status == 460 else HTTPStatus(status).phrase

@@ -1,0 +1,1 @@
+"""The routes. They translate between HTTP and the adapters, and decide nothing."""

@@ -1,0 +1,170 @@
+"""Jobs: create, look at, cancel, restart, delete, follow."""
+
+from __future__ import annotations
+
+import asyncio
+import time
+from collections.abc import AsyncIterator
+from typing import Annotated
+
+from fastapi import APIRouter, Depends, Header, Query, Response
+from fastapi.sse import EventSourceResponse, ServerSentEvent
+from starlette.concurrency import run_in_threadpool
+
+from api.problems import documented
+from api.schemas import EventOut, JobIn, JobOut, LogOut, PlannedStageOut, RestartIn
+from api.services import Services, ServicesDep
+from wibam_core.adapters.job_store import StagePlan
+from wibam_core.adapters.logs import read_log
+from wibam_core.adapters.planning import plan_stages
+from wibam_core.jobs.records import Job
+from wibam_core.stages.graph import downstream
+
+router = APIRouter(prefix="/v1", tags=["jobs"], responses=documented(401))
+_LOOK_EVERY_S = 0.4
+
+
+@router.post("/sites/{site_id}/jobs", status_code=201, summary="Create a job", responses=documented(404, 409, 413, 422))
+def create(
+    site_id: str,
+    body: JobIn,
+    services: ServicesDep,
+    response: Response,
+    idempotency_key: Annotated[
+        str | None,
+        Header(max_length=255, description="a second request with the same key gets the job that the first one made"),
+    ] = None,
+) -> JobOut:
+    """Works on the site and its files as they are now; later changes of the site do not touch the job.
+
+    Every camera needs a recording (`missing_camera` otherwise), and every option must exist (`unknown_option`).
+    """
+    site = services.sites.site(site_id)
+    files = services.sites.files(site_id)
+    plan = plan_stages(site.site, body.options, files)
+    job, ready = services.jobs.create(site, body.options, files, plan, idempotency_key)
+    services.queue.dispatch(ready)
+    response.headers["Location"] = f"/v1/jobs/{job.id}"
+    return _out(services, job)
+
+
+@router.post("/sites/{site_id}/plan", summary="What would a job do?", responses=documented(404, 422))
+def plan(site_id: str, body: JobIn, services: ServicesDep) -> list[PlannedStageOut]:
+    """Which stages would run, and which would reuse outputs that are there. Nothing is started."""
+    site = services.sites.site(site_id)
+    return _planned(services, plan_stages(site.site, body.options, services.sites.files(site_id)))
+
+
+@router.get("/jobs", summary="List jobs")
+def list_jobs(
+    services: ServicesDep,
+    site: Annotated[str | None, Query(description="of this site alone")] = None,
+    limit: Annotated[int, Query(ge=1, le=1000)] = 100,
+) -> list[JobOut]:
+    """The newest first."""
+    typical, now = services.jobs.typical_seconds(), time.time()
+    return [JobOut.of(job, typical, now) for job in services.jobs.jobs(site, limit)]
+
+
+@router.get("/jobs/{job_id}", summary="Look at a job", responses=documented(404))
+def get(job_id: str, services: ServicesDep) -> JobOut:
+    return _out(services, services.jobs.job(job_id))
+
+
+@router.post("/jobs/{job_id}/cancel", status_code=202, summary="Cancel a job", responses=documented(404))
+def cancel(job_id: str, services: ServicesDep) -> JobOut:
+    """A running stage is stopped within seconds. A job that has ended stays as it is."""
+    return _out(services, services.jobs.cancel(job_id))
+
+
+@router.post("/jobs/{job_id}/restart", status_code=202, summary="Restart a job", responses=documented(404, 409, 422))
+def restart(job_id: str, body: RestartIn, services: ServicesDep) -> JobOut:
+    """Runs the stages that have no outputs, those whose options changed, and, with `from_stage`, that stage and all
+    that follow from it. The job keeps its files and its id. `POST /v1/jobs/{id}/plan` says beforehand which.
+    """
+    options, plan = _restart_plan(services, job_id, body)
+    job, ready = services.jobs.restart(job_id, options, plan, body.from_stage)
+    services.queue.dispatch(ready)
+    return _out(services, job)
+
+
+@router.post("/jobs/{job_id}/plan", summary="What would a restart do?", responses=documented(404, 422))
+def restart_plan(job_id: str, body: RestartIn, services: ServicesDep) -> list[PlannedStageOut]:
+    """Which stages would run. Nothing is started."""
+    _, plan = _restart_plan(services, job_id, body)
+    anew = downstream(body.from_stage) if body.from_stage is not None else ()
+    return [
+        stage.model_copy(update={"would": "run"}) if stage.name in anew else stage for stage in _planned(services, plan)
+    ]
+
+
+@router.delete("/jobs/{job_id}", status_code=204, summary="Delete a job", responses=documented(404, 409))
+def delete(job_id: str, services: ServicesDep) -> None:
+    """Its outputs go with it, except those that another job refers to. A job that has not ended is kept (409)."""
+    services.jobs.delete(job_id, services.stages.remove)
+    services.folder.remove_log(job_id)
+
+
+@router.get("/jobs/{job_id}/log", summary="Read a job's log", responses=documented(404))
+def log(
+    job_id: str,
+    services: ServicesDep,
+    offset: Annotated[int, Query(ge=0, description="in bytes; `next_offset` of the part before")] = 0,
+) -> LogOut:
+    """What the stages printed, and what the workers did."""
+    ended = services.jobs.job(job_id).state.is_terminal
+    text, following = read_log(services.folder.log(job_id), offset)
+    return LogOut(text=text, next_offset=following, complete=ended and not text)
+
+
+async def _existing_job(job_id: str, services: ServicesDep) -> str:
+    await run_in_threadpool(services.jobs.events, job_id, 0, 1)
+    return job_id
+
+
+@router.get(
+    "/jobs/{job_id}/events",
+    summary="Follow a job",
+    response_class=EventSourceResponse,
+    responses={
+        200: {"description": "server-sent events `job`, `stage` and `progress`; their data is an EventOut"},
+        **documented(404),
+    },
+)
+async def events(
+    job_id: Annotated[str, Depends(_existing_job)],
+    services: ServicesDep,
+    last_event_id: Annotated[
+        int, Header(ge=0, description="go on after this event; browsers send it by themselves when they reconnect")
+    ] = 0,
+) -> AsyncIterator[ServerSentEvent]:
+    """Everything that has happened, then everything as it happens. Ends when the job has ended."""
+    after = last_event_id
+    while True:
+        found, complete = await run_in_threadpool(services.jobs.events, job_id, after)
+        for event in found:
+            out = EventOut.of(event)
+            yield ServerSentEvent(data=out.model_dump(mode="json"), event=out.kind, id=str(out.sequence))
+            after = event.sequence
+        if complete:
+            return
+        await asyncio.sleep(_LOOK_EVERY_S)
+
+
+def _out(services: Services, job: Job) -> JobOut:
+    return JobOut.of(job, services.jobs.typical_seconds(), time.time())
+
+
+def _planned(services: Services, plan: list[StagePlan]) -> list[PlannedStageOut]:
+    return [
+        PlannedStageOut.of(planned, reuse=services.stages.find(planned.name, planned.hash) is not None)
+        for planned in plan
+    ]
+
+
+def _restart_plan(services: Services, job_id: str, body: RestartIn) -> tuple[dict[str, object], list[StagePlan]]:
+    job = services.jobs.job(job_id)
+    options = dict(job.options if body.options is None else body.options)
+    if body.from_stage is not None:
+        downstream(body.from_stage)  # refuses stages that do not exist
+    return options, plan_stages(job.site, options, job.files)

@@ -1,0 +1,239 @@
+"""What a job has produced."""
+
+from __future__ import annotations
+
+import base64
+import io
+from collections.abc import Iterator
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+import pyarrow.csv
+import pyarrow.parquet
+from fastapi import APIRouter, Query
+from starlette.responses import FileResponse, JSONResponse, Response, StreamingResponse
+
+from api.problems import documented
+from api.schemas import ArtifactOut, ReportLinkOut, TracksOut
+from api.security import ReportLinks
+from api.services import Services, ServicesDep
+from wibam_core.adapters.results import Artifact, conflicts_csv
+from wibam_core.adapters.track_query import (
+    TrackQuery,
+    cursor_of,
+    parse_bounds,
+    parse_cursor,
+    parse_polygon,
+    query_tracks,
+)
+from wibam_core.jobs.records import Job
+from wibam_core.scene import VehicleClass
+
+router = APIRouter(prefix="/v1/jobs/{job_id}", tags=["results"], responses=documented(401, 404, 409))
+public_router = APIRouter(tags=["results"])
+_PAGE = 1000
+_HTML: dict[int | str, dict[str, Any]] = {200: {"content": {"text/html": {}}}}
+#: A report is our own file, but what is in it came from users' recordings: it may run scripts, and reach nothing.
+_REPORT_HEADERS = {
+    "Content-Security-Policy": "sandbox allow-scripts; default-src 'none'; img-src data:; font-src data:; "
+    "style-src 'unsafe-inline'; script-src 'unsafe-inline'",
+    "X-Content-Type-Options": "nosniff",
+    "Referrer-Policy": "no-referrer",
+}
+
+
+@router.get("/metrics", summary="How good the model is")
+def metrics(job_id: str, services: ServicesDep) -> JSONResponse:
+    """Baseline and fine-tuned, both evaluators (`evaluate/metrics.json`)."""
+    return JSONResponse(services.results.document(services.jobs.job(job_id), "evaluate", "metrics.json"))
+
+
+@router.get("/model", summary="Download the fine-tuned weights", response_class=FileResponse)
+def model(job_id: str, services: ServicesDep) -> FileResponse:
+    """safetensors. The headers tell the job, the address of the stage's outputs, and the SHA-256."""
+    job = services.jobs.job(job_id)
+    artifact = services.results.artifact(job, "finetune", "weights.safetensors")
+    stage = job.stage("finetune")
+    assert stage is not None
+    extra = {"X-Wibam-Job": job.id, "X-Wibam-Site": job.site_id, "X-Wibam-Stage-Hash": stage.hash}
+    return _download(artifact, f"{job.id}.safetensors", extra)
+
+
+@router.get(
+    "/tracks",
+    summary="7DoF tracks",
+    responses={
+        200: {
+            "model": TracksOut,
+            "content": {"text/csv": {}, "application/vnd.apache.parquet": {}},
+            "description": "JSON in pages; CSV and Parquet whole, unless a limit is given",
+        },
+        **documented(422),
+    },
+)
+def tracks(
+    job_id: str,
+    services: ServicesDep,
+    format: Literal["json", "csv", "parquet"] = "json",
+    start_ns: Annotated[int | None, Query(description="reference clock; counts in")] = None,
+    end_ns: Annotated[int | None, Query(description="reference clock; does not count in")] = None,
+    bounds: Annotated[
+        str | None, Query(description="`x_min,y_min,x_max,y_max` in m", examples=["-10,-10,10,10"])
+    ] = None,
+    polygon: Annotated[str | None, Query(description="corners `x1,y1;x2,y2;...` in m", max_length=4000)] = None,
+    vehicle_class: Annotated[list[VehicleClass] | None, Query(alias="class", description="any of these")] = None,
+    track_id: Annotated[list[int] | None, Query(description="any of these", max_length=1000)] = None,
+    min_speed_mps: Annotated[float | None, Query(ge=0, allow_inf_nan=False)] = None,
+    limit: Annotated[int | None, Query(ge=1, le=100_000)] = None,
+    cursor: Annotated[str | None, Query(description="`next` of the page before")] = None,
+) -> Response:
+    """States of vehicles over time: position, size, yaw, speed, and the standard deviation of each."""
+    page = limit if limit is not None else _PAGE if format == "json" else None
+    query = TrackQuery(
+        start_ns=start_ns,
+        end_ns=end_ns,
+        bounds=parse_bounds(bounds) if bounds is not None else None,
+        polygon=parse_polygon(polygon) if polygon is not None else (),
+        classes=tuple(vehicle_class or ()),
+        track_ids=tuple(track_id or ()),
+        min_speed_mps=min_speed_mps,
+        after=parse_cursor(cursor) if cursor is not None else None,
+        limit=page,
+    )
+    job = services.jobs.job(job_id)
+    path = services.results.artifact(job, "track", "tracks.parquet").path
+    if format == "json":
+        return JSONResponse(_page(path, query))
+    name = f"{job.id}-tracks.{format}"
+    headers = {"Content-Disposition": f'attachment; filename="{name}"'}
+    if format == "csv":
+        return StreamingResponse(_csv(path, query), media_type="text/csv; charset=utf-8", headers=headers)
+    return StreamingResponse(_parquet(path, query), media_type="application/vnd.apache.parquet", headers=headers)
+
+
+@router.get(
+    "/conflicts",
+    summary="Conflicts between road users",
+    responses={200: {"content": {"application/json": {}, "text/csv": {}}}},
+)
+def conflicts(job_id: str, services: ServicesDep, format: Literal["json", "csv"] = "json") -> Response:
+    """Pairs of vehicles whose time to collision or post-encroachment time fell below the thresholds, with intervals."""
+    job = services.jobs.job(job_id)
+    document = services.results.document(job, "safety", "conflicts.json")
+    if format == "json":
+        return JSONResponse(document)
+    headers = {"Content-Disposition": f'attachment; filename="{job.id}-conflicts.csv"'}
+    return StreamingResponse(conflicts_csv(document), media_type="text/csv; charset=utf-8", headers=headers)
+
+
+@router.get("/artifacts", summary="List the files of a job")
+def artifacts(job_id: str, services: ServicesDep) -> list[ArtifactOut]:
+    """Everything that its finished stages wrote, but for single frames."""
+    return [ArtifactOut.of(artifact) for artifact in services.results.artifacts(services.jobs.job(job_id))]
+
+
+@router.get("/artifacts/{stage}/{name:path}", summary="Download a file of a job", response_class=FileResponse)
+def artifact(job_id: str, stage: str, name: str, services: ServicesDep) -> FileResponse:
+    """By its id, `<stage>/<name>`. Ranges are served."""
+    found = services.results.artifact(services.jobs.job(job_id), stage, name)
+    return _download(found, f"{job_id}-{found.path.name}")
+
+
+@router.get(
+    "/report", summary="The report", response_class=FileResponse, responses={200: {"content": {"text/html": {}}}}
+)
+def report(job_id: str, services: ServicesDep) -> FileResponse:
+    """One self-contained HTML file."""
+    return _report(services, services.jobs.job(job_id))
+
+
+@router.get("/report-link", summary="A link to the report for a browser")
+def report_link(job_id: str, services: ServicesDep) -> ReportLinkOut:
+    """Works without a token, for ten minutes, for this one report."""
+    services.results.artifact(services.jobs.job(job_id), "report", "report.html")
+    expires, signature = _links(services).sign(job_id)
+    return ReportLinkOut(
+        url=f"/reports/{job_id}?expires={expires}&signature={signature}",
+        expires_at=datetime.fromtimestamp(expires, UTC),
+    )
+
+
+@public_router.get(
+    "/reports/{job_id}",
+    summary="The report, by link",
+    response_class=FileResponse,
+    responses={**_HTML, **documented(401, 404, 409)},
+)
+def report_by_link(job_id: str, expires: int, signature: str, services: ServicesDep) -> FileResponse:
+    """See `GET /v1/jobs/{job_id}/report-link`."""
+    _links(services).verify(job_id, expires, signature)
+    return _report(services, services.jobs.job(job_id))
+
+
+def _links(services: Services) -> ReportLinks:
+    return ReportLinks(services.settings.token_sha256)
+
+
+def _report(services: Services, job: Job) -> FileResponse:
+    path = services.results.artifact(job, "report", "report.html").path
+    return FileResponse(path, media_type="text/html; charset=utf-8", headers=_REPORT_HEADERS)
+
+
+def _download(artifact: Artifact, filename: str, extra: dict[str, str] | None = None) -> FileResponse:
+    digest = base64.b64encode(bytes.fromhex(artifact.sha256)).decode()
+    headers = {
+        "ETag": f'"{artifact.sha256}"',
+        "Repr-Digest": f"sha-256=:{digest}:",
+        "X-Content-Type-Options": "nosniff",
+        "Content-Security-Policy": "sandbox",
+        **(extra or {}),
+    }
+    return FileResponse(artifact.path, media_type="application/octet-stream", filename=filename, headers=headers)
+
+
+def _page(path: Path, query: TrackQuery) -> dict[str, Any]:
+    with query_tracks(path, query) as batches:
+        states = [state for batch in batches for state in batch.to_pylist()]
+    last = states[-1] if len(states) == query.limit else None
+    return {"states": states, "next": cursor_of(last["time_ns"], last["track_id"]) if last else None}
+
+
+def _csv(path: Path, query: TrackQuery) -> Iterator[bytes]:
+    with query_tracks(path, query) as batches:
+        header = io.BytesIO()
+        pyarrow.csv.write_csv(batches.schema.empty_table(), header)
+        yield header.getvalue()
+        for batch in batches:
+            buffer = io.BytesIO()
+            pyarrow.csv.write_csv(batch, buffer, pyarrow.csv.WriteOptions(include_header=False))
+            yield buffer.getvalue()
+
+
+class _Outlet(io.RawIOBase):
+    """A file to write to whose bytes are taken away now and then."""
+
+    def __init__(self) -> None:
+        self._parts: list[bytes] = []
+
+    def writable(self) -> bool:
+        return True
+
+    def write(self, data: Any) -> int:
+        self._parts.append(bytes(data))
+        return len(data)
+
+    def take(self) -> bytes:
+        data = b"".join(self._parts)
+        self._parts.clear()
+        return data
+
+
+def _parquet(path: Path, query: TrackQuery) -> Iterator[bytes]:
+    outlet = _Outlet()
+    with query_tracks(path, query) as batches:
+        with pyarrow.parquet.ParquetWriter(outlet, batches.schema, compression="zstd") as writer:
+            for batch in batches:
+                writer.write_batch(batch)
+                yield outlet.take()
+        yield outlet.take()

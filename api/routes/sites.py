@@ -1,0 +1,69 @@
+"""Sites and their files."""
+
+from __future__ import annotations
+
+import json
+from typing import Any
+
+from fastapi import APIRouter
+
+from api.problems import documented
+from api.schemas import RecordingOut, SiteOut
+from api.services import Services, ServicesDep
+from wibam_core.errors import WibamError
+from wibam_core.jobs.records import Purpose
+from wibam_core.site import Site
+
+router = APIRouter(prefix="/v1/sites", tags=["sites"], responses=documented(401))
+
+
+@router.post("", status_code=201, summary="Describe a site", responses=documented(413, 422))
+def create(site: Site, services: ServicesDep) -> SiteOut:
+    """The body is the same document as the ``site.json`` of a site folder: cameras, calibration, signal regions."""
+    return SiteOut.of(services.sites.add_site(site))
+
+
+@router.get("", summary="List sites")
+def list_sites(services: ServicesDep) -> list[SiteOut]:
+    """The newest first."""
+    return [SiteOut.of(record) for record in services.sites.sites()]
+
+
+@router.get("/{site_id}", summary="Look at a site", responses=documented(404))
+def get(site_id: str, services: ServicesDep) -> SiteOut:
+    return SiteOut.of(services.sites.site(site_id))
+
+
+@router.delete("/{site_id}", status_code=204, summary="Delete a site", responses=documented(404, 409))
+def delete(site_id: str, services: ServicesDep) -> None:
+    """Its recordings go with it. A site that still has jobs is kept (409)."""
+    for file_id in services.sites.delete_site(site_id):
+        services.folder.remove_file(file_id)
+
+
+@router.get("/{site_id}/recordings", summary="List the files of a site", responses=documented(404))
+def recordings(site_id: str, services: ServicesDep) -> list[RecordingOut]:
+    """Recordings by camera, labels and detector. Upload again to replace one."""
+    files = services.sites.files(site_id)
+    probes = _probes(services, site_id)
+    return [RecordingOut.of(file, probes.get(file.id) if file.purpose is Purpose.RECORDING else None) for file in files]
+
+
+@router.delete(
+    "/{site_id}/recordings/{file_id}", status_code=204, summary="Take a file off a site", responses=documented(404)
+)
+def delete_recording(site_id: str, file_id: str, services: ServicesDep) -> None:
+    """Jobs that were made with the file keep it until they are deleted."""
+    services.sites.retire_file(site_id, file_id)
+
+
+def _probes(services: Services, site_id: str) -> dict[str, dict[str, Any]]:
+    """File id -> what the preflight stage of the site's latest jobs found out about it."""
+    found: dict[str, dict[str, Any]] = {}
+    for job in reversed(services.jobs.jobs(site_id, limit=5)):
+        try:
+            probe = services.results.document(job, "preflight", "probe.json")
+        except (WibamError, json.JSONDecodeError):
+            continue
+        found |= {file.id: probe[camera] for camera, file in job.recordings.items() if camera in probe}
+    return found

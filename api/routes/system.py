@@ -1,0 +1,41 @@
+"""Health, version, options."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from fastapi import APIRouter
+
+from api.problems import documented
+from api.schemas import HealthOut, VersionOut
+from api.services import ServicesDep
+from wibam_core import __version__
+from wibam_core.config import PipelineConfig
+from wibam_core.stages.graph import STAGES
+
+router = APIRouter(tags=["system"])
+options_router = APIRouter(prefix="/v1", tags=["jobs"])
+
+
+@router.get("/healthz", summary="Is the process alive?")
+def healthz() -> HealthOut:
+    return HealthOut()
+
+
+@router.get("/readyz", summary="Can it work?", responses=documented(503))
+def readyz(services: ServicesDep) -> HealthOut:
+    """Asks the database and the message broker."""
+    services.database.ping()
+    services.queue.ping()
+    return HealthOut()
+
+
+@router.get("/version", summary="Version and stages")
+def version() -> VersionOut:
+    return VersionOut(version=__version__, stages=list(STAGES))
+
+
+@options_router.get("/options", summary="All options of a job", responses=documented(401))
+def options() -> dict[str, Any]:
+    """``defaults``: every option by stage; ``schema``: their meaning and limits as JSON Schema."""
+    return {"defaults": PipelineConfig().model_dump(), "schema": PipelineConfig.model_json_schema()}

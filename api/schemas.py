@@ -1,0 +1,265 @@
+"""What the API says, as OpenAPI shows it. Times are ISO 8601 in UTC; durations are seconds."""
+
+from __future__ import annotations
+
+from datetime import UTC, datetime
+from typing import Any, Literal
+
+from pydantic import BaseModel, ConfigDict, Field
+
+from wibam_core.adapters.job_store import StagePlan
+from wibam_core.adapters.results import Artifact
+from wibam_core.jobs.estimate import job_fraction, remaining_s
+from wibam_core.jobs.records import Event, Job, SiteRecord, StageRun, StoredFile
+from wibam_core.jobs.states import JobState, StageState
+from wibam_core.site import Site
+from wibam_core.stages.graph import STAGES
+
+
+def _time(seconds: float) -> datetime:
+    return datetime.fromtimestamp(seconds, UTC)
+
+
+def _time_or_none(seconds: float | None) -> datetime | None:
+    return None if seconds is None else _time(seconds)
+
+
+class SiteOut(BaseModel):
+    """A site, as it was described."""
+
+    id: str = Field(examples=["site_3f0c9a1be2d44c70"])
+    name: str
+    cameras: list[str] = Field(description="camera ids; the first is the reference", examples=[["north", "south"]])
+    created_at: datetime
+    site: Site
+
+    @classmethod
+    def of(cls, record: SiteRecord) -> SiteOut:
+        return cls(
+            id=record.id,
+            name=record.site.name,
+            cameras=list(record.site.camera_ids),
+            created_at=_time(record.created_at),
+            site=record.site,
+        )
+
+
+class RecordingOut(BaseModel):
+    """An uploaded file of a site."""
+
+    id: str = Field(examples=["file_9b8a7c6d5e4f3a2b"])
+    site_id: str
+    purpose: Literal["recording", "labels", "detector"]
+    camera: str | None = Field(description="of a recording")
+    filename: str = Field(description="as the client called it")
+    size_bytes: int
+    sha256: str
+    created_at: datetime
+    probe: dict[str, Any] | None = Field(None, description="codec, size, rate, duration, once a job has looked")
+
+    @classmethod
+    def of(cls, file: StoredFile, probe: dict[str, Any] | None = None) -> RecordingOut:
+        return cls(
+            id=file.id,
+            site_id=file.site_id,
+            purpose=file.purpose.value,
+            camera=file.camera_id or None,
+            filename=file.filename,
+            size_bytes=file.size_bytes,
+            sha256=file.sha256,
+            created_at=_time(file.created_at),
+            probe=probe,
+        )
+
+
+class JobIn(BaseModel):
+    """A job to create."""
+
+    model_config = ConfigDict(extra="forbid")
+
+    options: dict[str, Any] = Field(
+        {},
+        description="options by stage; what is left out has its default (`GET /v1/options`)",
+        examples=[{"finetune": {"steps": 200}, "sync": {"method": "none"}}],
+    )
+
+
+class RestartIn(BaseModel):
+    """How to restart a job."""
+
+    model_config = ConfigDict(extra="forbid")
+
+    from_stage: str | None = Field(
+        None, description="make this stage and all that follow from it anew, even if their outputs are there"
+    )
+    options: dict[str, Any] | None = Field(None, description="other options than before; left out: the same")
+
+
+class PlannedStageOut(BaseModel):
+    """A stage that a job would have."""
+
+    name: str
+    title: str
+    hash: str = Field(description="address of its outputs: they depend on nothing else")
+    requires: list[str]
+    would: Literal["run", "reuse"] = Field(description="`reuse`: the outputs are there already")
+
+    @classmethod
+    def of(cls, planned: StagePlan, *, reuse: bool) -> PlannedStageOut:
+        return cls(
+            name=planned.name,
+            title=STAGES[planned.name].title,
+            hash=planned.hash,
+            requires=list(planned.requires),
+            would="reuse" if reuse else "run",
+        )
+
+
+class ErrorOut(BaseModel):
+    """Why a stage failed."""
+
+    code: str = Field(examples=["no_overlap"])
+    message: str
+    hint: str
+    details: dict[str, Any]
+
+
+class StageOut(BaseModel):
+    """A stage of a job."""
+
+    name: str = Field(examples=["sync"])
+    title: str = Field(examples=["Synchronise the cameras"])
+    state: StageState
+    fraction: float = Field(ge=0, le=1)
+    message: str
+    figures: dict[str, float | None] = Field(description="the latest figures, e.g. a loss")
+    summary: dict[str, Any] | None = Field(description="what it says about its result")
+    error: ErrorOut | None
+    attempts: int
+    hash: str
+    started_at: datetime | None
+    finished_at: datetime | None
+    seconds: float | None = Field(description="how long it took")
+
+    @classmethod
+    def of(cls, stage: StageRun) -> StageOut:
+        both = stage.started_at is not None and stage.finished_at is not None
+        return cls(
+            name=stage.name,
+            title=STAGES[stage.name].title if stage.name in STAGES else stage.name,
+            state=stage.state,
+            fraction=stage.fraction,
+            message=stage.message,
+            figures=dict(stage.figures or {}),
+            summary=None if stage.summary is None else dict(stage.summary),
+            error=None if stage.error is None else ErrorOut.model_validate(stage.error),
+            attempts=stage.attempts,
+            hash=stage.hash,
+            started_at=_time_or_none(stage.started_at),
+            finished_at=_time_or_none(stage.finished_at),
+            seconds=(stage.finished_at or 0.0) - (stage.started_at or 0.0) if both else None,
+        )
+
+
+class JobOut(BaseModel):
+    """A job: one run of the pipeline on a site."""
+
+    id: str = Field(examples=["job_5e4d3c2b1a098765"])
+    site_id: str
+    state: JobState
+    is_terminal: bool = Field(description="nothing happens any more unless the job is restarted")
+    fraction: float = Field(ge=0, le=1, description="done, weighted by how long stages usually take")
+    remaining_s: float | None = Field(description="how long it will still take, where enough is known")
+    options: dict[str, Any]
+    files: list[RecordingOut]
+    stages: list[StageOut] = Field(description="in the order of the pipeline")
+    error: ErrorOut | None = Field(description="why it failed; `details.stage` names the stage")
+    restarts: int
+    created_at: datetime
+    started_at: datetime | None
+    finished_at: datetime | None
+
+    @classmethod
+    def of(cls, job: Job, typical_s: dict[str, float], now: float) -> JobOut:
+        return cls(
+            id=job.id,
+            site_id=job.site_id,
+            state=job.state,
+            is_terminal=job.state.is_terminal,
+            fraction=job_fraction(job, typical_s),
+            remaining_s=remaining_s(job, typical_s, now),
+            options=dict(job.options),
+            files=[RecordingOut.of(file) for file in job.files],
+            stages=[StageOut.of(stage) for stage in job.stages],
+            error=None if job.error is None else ErrorOut.model_validate(job.error),
+            restarts=job.restarts,
+            created_at=_time(job.created_at),
+            started_at=_time_or_none(job.started_at),
+            finished_at=_time_or_none(job.finished_at),
+        )
+
+
+class EventOut(BaseModel):
+    """Something that happened to a job."""
+
+    sequence: int = Field(description="counts from 1 without gaps; also the id of the server-sent event")
+    kind: Literal["job", "stage", "progress"]
+    at: datetime
+    data: dict[str, Any]
+
+    @classmethod
+    def of(cls, event: Event) -> EventOut:
+        return cls(sequence=event.sequence, kind=event.kind.value, at=_time(event.at), data=dict(event.data))
+
+
+class LogOut(BaseModel):
+    """A part of a job's log."""
+
+    text: str
+    next_offset: int = Field(description="ask for this offset next")
+    complete: bool = Field(description="the job has ended, and this was the last part")
+
+
+class ArtifactOut(BaseModel):
+    """A file that a stage wrote."""
+
+    id: str = Field(examples=["evaluate/metrics.json"])
+    stage: str
+    name: str
+    size_bytes: int
+    sha256: str
+
+    @classmethod
+    def of(cls, artifact: Artifact) -> ArtifactOut:
+        return cls(
+            id=artifact.id,
+            stage=artifact.stage,
+            name=artifact.name,
+            size_bytes=artifact.size_bytes,
+            sha256=artifact.sha256,
+        )
+
+
+class TracksOut(BaseModel):
+    """States of tracked vehicles, sorted by time, then track."""
+
+    states: list[dict[str, Any]] = Field(
+        description="columns of the Parquet file: `time_ns`, `track_id`, `class`, pose, size, speed, deviations"
+    )
+    next: str | None = Field(description="cursor of the next page")
+
+
+class ReportLinkOut(BaseModel):
+    """A link that opens the report in a browser without a token."""
+
+    url: str = Field(examples=["/reports/job_5e4d3c2b1a098765?expires=1700000000&signature=..."])
+    expires_at: datetime
+
+
+class VersionOut(BaseModel):
+    version: str
+    stages: list[str]
+
+
+class HealthOut(BaseModel):
+    status: Literal["ok"] = "ok"

@@ -1,0 +1,104 @@
+"""Who may come in, and how much they may bring: decided before a byte of the body is read."""
+
+from __future__ import annotations
+
+import hashlib
+import hmac
+import time
+from collections.abc import Callable
+
+from starlette.datastructures import Headers
+from starlette.exceptions import HTTPException
+from starlette.types import ASGIApp, Message, Receive, Scope, Send
+
+from api.problems import problem
+from wibam_core.adapters.settings import token_digest
+from wibam_core.errors import TooLarge, Unauthorised
+
+_PROTECTED = "/v1/"
+_UPLOADS = "/v1/uploads/"
+
+
+class Gate:
+    """ASGI middleware: everything under ``/v1/`` needs the token; bodies other than uploads are bounded.
+
+    Args:
+        app: what lies behind.
+        token_sha256: SHA-256 (hex) of the token.
+        max_body_bytes: of a request that is no piece of an upload.
+    """
+
+    def __init__(self, app: ASGIApp, token_sha256: str, max_body_bytes: int = 4_000_000) -> None:
+        self._app = app
+        self._token_sha256 = token_sha256
+        self._max_body_bytes = max_body_bytes
+
+    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
+        if scope["type"] != "http":
+            await self._app(scope, receive, send)
+            return
+        headers = Headers(scope=scope)
+        if self._needs_token(scope) and not self._has_token(headers):
+            await problem(Unauthorised("the API token is missing or wrong"))(scope, receive, send)
+            return
+        if scope["method"] == "PATCH" and scope["path"].startswith(_UPLOADS):
+            await self._app(scope, receive, send)
+            return
+        length = headers.get("content-length", "")
+        if length.isdigit() and int(length) > self._max_body_bytes:
+            error = TooLarge(f"the body is larger than {self._max_body_bytes / 1e6:g} MB")
+            await problem(error)(scope, receive, send)
+            return
+        await self._app(scope, self._bounded(receive), send)
+
+    def _needs_token(self, scope: Scope) -> bool:
+        return scope["path"].startswith(_PROTECTED) and scope["method"] != "OPTIONS"
+
+    def _has_token(self, headers: Headers) -> bool:
+        scheme, _, token = headers.get("authorization", "").partition(" ")
+        digest = token_digest(token.strip())
+        return hmac.compare_digest(digest, self._token_sha256) and scheme.lower() == "bearer"
+
+    def _bounded(self, receive: Receive) -> Receive:
+        received = 0
+
+        async def bounded() -> Message:
+            nonlocal received
+            message = await receive()
+            received += len(message.get("body", b""))
+            if received > self._max_body_bytes:
+                raise HTTPException(413, f"the body is larger than {self._max_body_bytes / 1e6:g} MB")
+            return message
+
+        return bounded
+
+
+class ReportLinks:
+    """Short-lived links by which a browser, which cannot send a token, opens one job's report.
+
+    Args:
+        secret: known to the service alone.
+        lifetime_s: how long a link works.
+        now: Unix seconds.
+    """
+
+    def __init__(self, secret: str, lifetime_s: float = 600.0, now: Callable[[], float] = time.time) -> None:
+        self._key = hashlib.sha256(b"wibam report links:" + secret.encode()).digest()
+        self._lifetime_s = lifetime_s
+        self._now = now
+
+    def sign(self, job_id: str) -> tuple[int, str]:
+        """When the link expires (Unix seconds), and its signature."""
+        expires = int(self._now() + self._lifetime_s)
+        return expires, self._signature(job_id, expires)
+
+    def verify(self, job_id: str, expires: int, signature: str) -> None:
+        """Raises:
+        Unauthorised: the link is too old, or was not made by us.
+        """
+        expected = self._signature(job_id, expires)
+        if not hmac.compare_digest(expected.encode(), signature.encode()) or expires < self._now():
+            raise Unauthorised("this link has expired", hint="Ask for a new one: GET /v1/jobs/{id}/report-link.")
+
+    def _signature(self, job_id: str, expires: int) -> str:
+        return hmac.new(self._key, f"{job_id}:{expires}".encode(), hashlib.sha256).hexdigest()

@@ -1,0 +1,64 @@
+"""What routes work with, made once an application."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Annotated
+
+from fastapi import Depends, Request
+
+from wibam_core.adapters.database import Database
+from wibam_core.adapters.files import DataFolder
+from wibam_core.adapters.job_store import JobStore
+from wibam_core.adapters.lease_store import LeaseStore
+from wibam_core.adapters.queue import JobQueue, make_celery
+from wibam_core.adapters.results import JobResults
+from wibam_core.adapters.settings import ServiceSettings
+from wibam_core.adapters.site_store import SiteStore
+from wibam_core.adapters.uploads import UploadService
+from wibam_core.stages.store import StageStore
+
+
+@dataclass(frozen=True)
+class Services:
+    """The adapters, put together."""
+
+    settings: ServiceSettings
+    database: Database
+    folder: DataFolder
+    sites: SiteStore
+    uploads: UploadService
+    jobs: JobStore
+    leases: LeaseStore
+    queue: JobQueue
+    results: JobResults
+    stages: StageStore
+
+    @classmethod
+    def connect(cls, settings: ServiceSettings) -> Services:
+        """Nothing is opened yet: connections are made when they are first used."""
+        folder = DataFolder(settings.data_dir)
+        database = Database(settings.database_url)
+        sites = SiteStore(database)
+        return cls(
+            settings=settings,
+            database=database,
+            folder=folder,
+            sites=sites,
+            uploads=UploadService(
+                sites, folder, quota_bytes=settings.upload_quota_bytes, lifetime_s=settings.upload_lifetime_s
+            ),
+            jobs=JobStore(database),
+            leases=LeaseStore(database, settings.leases),
+            queue=JobQueue(make_celery(settings.broker_url)),
+            results=JobResults(folder.stages),
+            stages=StageStore(folder.stages),
+        )
+
+
+def _services(request: Request) -> Services:
+    services: Services = request.app.state.services
+    return services
+
+
+ServicesDep = Annotated[Services, Depends(_services)]

@@ -1,0 +1,246 @@
+"""The results of a finished job over real HTTP."""
+
+from __future__ import annotations
+
+import csv
+import io
+from pathlib import Path
+from urllib.parse import parse_qs, urlsplit
+
+import httpx
+import pyarrow.parquet
+import pytest
+
+from tests.finished import CONFLICT, finished_job
+from tests.service import TOKEN, LiveApi
+from wibam_core.client import WibamClient
+from wibam_core.errors import Conflict, InputError, NotFound, ServiceUnavailable, Unauthorised
+from wibam_core.formats.tracks import read_tracks
+
+
+@pytest.fixture(scope="module")
+def job(api: LiveApi) -> str:
+    return finished_job(api)
+
+
+class TestTracks:
+    def states(self, api: LiveApi, job: str, **params: object) -> list[dict]:
+        response = api.http.get(f"/v1/jobs/{job}/tracks", params=params)
+        assert response.status_code == 200, response.text
+        return list(response.json()["states"])
+
+    def test_all_states_sorted(self, api: LiveApi, job: str) -> None:
+        states = self.states(api, job)
+        assert len(states) == 100
+        keys = [(state["time_ns"], state["track_id"]) for state in states]
+        assert keys == sorted(keys)
+        assert states[0]["class"] == "car"
+        assert states[0]["speed_mps"] == pytest.approx(10.0)
+        assert states[0]["sd_x_m"] == pytest.approx(0.1)
+
+    def test_by_time_the_start_counts_and_the_end_does_not(self, api: LiveApi, job: str) -> None:
+        states = self.states(api, job, start_ns=1_000_000_000, end_ns=2_000_000_000)
+        assert {state["time_ns"] for state in states} == {n * 100_000_000 for n in range(10, 20)}
+
+    def test_by_bounds_class_track_and_speed(self, api: LiveApi, job: str) -> None:
+        assert {s["x_m"] for s in self.states(api, job, bounds="9.5,-1,12.5,1")} == {10.0, 11.0, 12.0}
+        assert {s["track_id"] for s in self.states(api, job, **{"class": "bus"})} == {2}
+        assert len(self.states(api, job, **{"class": ["bus", "car"]})) == 100
+        assert {s["track_id"] for s in self.states(api, job, track_id=1)} == {1}
+        assert {s["track_id"] for s in self.states(api, job, min_speed_mps=1.0)} == {1}
+        assert self.states(api, job, min_speed_mps=1.0, **{"class": "bus"}) == []
+
+    def test_by_polygon(self, api: LiveApi, job: str) -> None:
+        triangle = "15,-5;25,-5;25,10"
+        assert {s["x_m"] for s in self.states(api, job, polygon=triangle, track_id=1)} == {
+            19.0,
+            20.0,
+            21.0,
+            22.0,
+            23.0,
+            24.0,
+        }
+        assert self.states(api, job, polygon="15,-5;25,-5;25,4", track_id=2) == []
+
+    def test_pages_make_the_whole(self, api: LiveApi, job: str) -> None:
+        whole, pages, cursor = self.states(api, job), [], None
+        while True:
+            params = {"limit": 7, **({"cursor": cursor} if cursor else {})}
+            page = api.http.get(f"/v1/jobs/{job}/tracks", params=params).json()
+            pages += page["states"]
+            cursor = page["next"]
+            if cursor is None:
+                break
+        assert pages == whole
+
+    def test_csv_and_parquet_hold_the_same(self, api: LiveApi, job: str, tmp_path: Path) -> None:
+        response = api.http.get(f"/v1/jobs/{job}/tracks", params={"format": "csv"})
+        assert response.headers["content-type"].startswith("text/csv")
+        assert f"{job}-tracks.csv" in response.headers["content-disposition"]
+        rows = list(csv.DictReader(io.StringIO(response.text)))
+        assert len(rows) == 100
+        assert float(rows[-1]["x_m"]) == 20.0
+        response = api.http.get(f"/v1/jobs/{job}/tracks", params={"format": "parquet"})
+        table = pyarrow.parquet.read_table(io.BytesIO(response.content))
+        assert table.num_rows == 100
+        assert table.column_names == list(rows[0])
+
+    def test_an_empty_answer_is_a_valid_file(self, api: LiveApi, job: str) -> None:
+        for format in ("csv", "parquet"):
+            response = api.http.get(f"/v1/jobs/{job}/tracks", params={"format": format, "track_id": 99})
+            assert response.status_code == 200
+        assert pyarrow.parquet.read_table(io.BytesIO(response.content)).num_rows == 0
+
+    @pytest.mark.parametrize(
+        "params",
+        [
+            {"bounds": "1,2,3"},
+            {"bounds": "1,2,1,2"},
+            {"bounds": "a,b,c,d"},
+            {"bounds": "nan,0,1,1"},
+            {"polygon": "0,0;1,1"},
+            {"polygon": "0,0;1"},
+            {"class": "boat"},
+            {"cursor": "x"},
+            {"cursor": "1' OR 1=1"},
+            {"limit": 0},
+            {"limit": 1_000_000},
+            {"min_speed_mps": "nan"},
+            {"format": "xml"},
+        ],
+    )
+    def test_questions_without_sense(self, api: LiveApi, job: str, params: dict) -> None:
+        response = api.http.get(f"/v1/jobs/{job}/tracks", params=params)
+        assert response.status_code == 422, response.text
+        assert response.json()["code"] == "invalid_input"
+
+
+class TestFiles:
+    def test_the_model_says_what_it_is(self, api: LiveApi, job: str) -> None:
+        response = api.http.get(f"/v1/jobs/{job}/model")
+        assert response.content == bytes(range(256)) * 4
+        assert response.headers["x-wibam-job"] == job
+        assert f'filename="{job}.safetensors"' in response.headers["content-disposition"]
+        assert response.headers["repr-digest"].startswith("sha-256=:")
+
+    def test_ranges_are_served(self, api: LiveApi, job: str) -> None:
+        path = f"/v1/jobs/{job}/artifacts/finetune/weights.safetensors"
+        response = api.http.get(path, headers={"Range": "bytes=10-19"})
+        assert response.status_code == 206
+        assert response.content == bytes(range(10, 20))
+        assert api.http.get(path, headers={"Range": "bytes=5000-"}).status_code == 416
+
+    def test_listed_files_can_all_be_fetched(self, api: LiveApi, job: str) -> None:
+        listed = api.http.get(f"/v1/jobs/{job}/artifacts").json()
+        assert "evaluate/metrics.json" in {item["id"] for item in listed}
+        for item in listed:
+            response = api.http.get(f"/v1/jobs/{job}/artifacts/{item['id']}")
+            assert len(response.content) == item["size_bytes"]
+            assert "attachment" in response.headers["content-disposition"]
+
+    @pytest.mark.parametrize(
+        "name", ["manifest.json", "%2e%2e/track/tracks.parquet", "..%2f..%2f..%2fwibam.db", "%2fetc%2fpasswd", "x"]
+    )
+    def test_only_what_the_stage_wrote(self, api: LiveApi, job: str, name: str) -> None:
+        response = httpx.get(
+            f"{api.url}/v1/jobs/{job}/artifacts/evaluate/{name}", headers={"Authorization": f"Bearer {TOKEN}"}
+        )
+        assert response.status_code == 404
+
+    def test_metrics_and_conflicts(self, api: LiveApi, job: str) -> None:
+        assert api.http.get(f"/v1/jobs/{job}/metrics").json() == {"baseline": {"recall": 0.5}}
+        assert api.http.get(f"/v1/jobs/{job}/conflicts").json()["conflicts"] == [CONFLICT]
+        [row] = csv.DictReader(io.StringIO(api.http.get(f"/v1/jobs/{job}/conflicts?format=csv").text))
+        assert row["classes_1"] == "car"
+        assert row["ttc_interval_s_low"] == "1.0"
+        assert row["ttc_interval_s_high"] == ""
+
+    def test_recordings_tell_what_preflight_found(self, api: LiveApi, job: str) -> None:
+        site = api.http.get(f"/v1/jobs/{job}").json()["site_id"]
+        [recording] = api.http.get(f"/v1/sites/{site}/recordings").json()
+        assert recording["probe"] == {"codec": "h264", "fps": 25.0}
+
+
+class TestReport:
+    def test_needs_the_token_or_a_link(self, api: LiveApi, job: str) -> None:
+        assert api.http.get(f"/v1/jobs/{job}/report").text == "<h1>report</h1>"
+        assert httpx.get(f"{api.url}/v1/jobs/{job}/report").status_code == 401
+        link = api.http.get(f"/v1/jobs/{job}/report-link").json()["url"]
+        response = httpx.get(api.url + link)
+        assert response.text == "<h1>report</h1>"
+        assert "sandbox" in response.headers["content-security-policy"]
+
+    def test_links_open_one_report_alone(self, api: LiveApi, job: str) -> None:
+        link = urlsplit(api.http.get(f"/v1/jobs/{job}/report-link").json()["url"])
+        values = {name: value[0] for name, value in parse_qs(link.query).items()}
+        later = {**values, "expires": str(int(values["expires"]) + 1)}
+        for path, params in (
+            ("/reports/job_0000000000000000", values),
+            (link.path, later),
+            (link.path, {**values, "signature": "0" * 64}),
+            (link.path, {**values, "signature": "é"}),
+        ):
+            assert httpx.get(api.url + path, params=params).status_code == 401
+        assert httpx.get(api.url + link.path).status_code == 422
+
+
+class TestClient:
+    @pytest.fixture
+    def client(self, api: LiveApi) -> WibamClient:
+        return WibamClient(api.url, TOKEN)
+
+    def test_fetches_everything(self, client: WibamClient, job: str, tmp_path: Path) -> None:
+        assert client.metrics(job) == {"baseline": {"recall": 0.5}}
+        assert client.conflicts(job)["conflicts"] == [CONFLICT]
+        assert len(list(client.tracks(job, vehicle_class=["bus"]))) == 50
+        assert client.download_model(job, tmp_path / "w").read_bytes() == bytes(range(256)) * 4
+        assert len(read_tracks(client.download_tracks(job, tmp_path / "t.parquet"))) == 2
+        assert client.download_tracks(job, tmp_path / "t.csv", "csv").read_text().startswith('"time_ns"')
+        assert "states" in client.download_tracks(job, tmp_path / "t.json", "json").read_text()
+        assert client.download_report(job, tmp_path / "r.html").read_text() == "<h1>report</h1>"
+        assert httpx.get(client.report_url(job)).text == "<h1>report</h1>"
+        for item in client.artifacts(job):
+            assert client.download_artifact(job, item.id, tmp_path / "a").stat().st_size == item.size_bytes
+        view = client.wait(job)
+        assert view.state.value == "succeeded"
+        assert [p.name for p in tmp_path.iterdir() if p.suffix == ".part"] == []
+
+    def test_errors_come_back_as_what_they_were(
+        self, client: WibamClient, api: LiveApi, job: str, tmp_path: Path
+    ) -> None:
+        with pytest.raises(NotFound):
+            client.job("job_0000000000000000")
+        with pytest.raises(InputError, match="bounds"):
+            client.download_tracks(job, tmp_path / "t", "csv", bounds="1")
+        with pytest.raises(Unauthorised):
+            WibamClient(api.url, "wrong").sites()
+        with pytest.raises(ServiceUnavailable) as caught:
+            WibamClient("http://127.0.0.1:9", "x").sites()
+        assert "wibam serve" in caught.value.hint
+        assert list(tmp_path.iterdir()) == []
+
+    def test_sends_files_in_pieces(
+        self, client: WibamClient, api: LiveApi, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    ) -> None:
+        monkeypatch.setattr("wibam_core.client._PIECE_BYTES", 1000)
+        path = tmp_path / "x.mp4"
+        path.write_bytes(bytes(3500))
+        reported: list[tuple[int, int]] = []
+        site = api.site(cameras=1)
+        client.upload_recording(site, "cam1", path, lambda sent, size: reported.append((sent, size)))
+        assert reported == [(1000, 3500), (2000, 3500), (3000, 3500), (3500, 3500)]
+        [file] = client.files(site)
+        assert file.size_bytes == 3500
+        with pytest.raises(Conflict):
+            client.restart(client.create_job(site).id)
+
+
+def test_deleting_a_job_takes_its_outputs_along(api: LiveApi) -> None:
+    job = finished_job(api)
+    stages = api.services.jobs.job(job).stages
+    again = api.http.post(f"/v1/sites/{api.http.get(f'/v1/jobs/{job}').json()['site_id']}/plan", json={}).json()
+    assert {stage["would"] for stage in again} == {"reuse"}
+    assert api.http.delete(f"/v1/jobs/{job}").status_code == 204
+    assert api.http.get(f"/v1/jobs/{job}").status_code == 404
+    # the module's own job has the same recording and options, so it still refers to the same outputs
+    assert all(api.services.stages.find(stage.name, stage.hash) is not None for stage in stages)

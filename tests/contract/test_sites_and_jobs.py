@@ -1,0 +1,291 @@
+"""Sites and jobs over real HTTP, without a worker: what is created, refused, followed and deleted."""
+
+from __future__ import annotations
+
+import json
+import re
+from typing import Any
+
+import httpx
+import pytest
+
+from tests.builders import corner_rig, site_of
+from tests.service import LiveApi
+from wibam_core.adapters.job_rows import StageKey
+from wibam_core.stages.graph import STAGES
+
+SITE = site_of(corner_rig(2)).model_dump(mode="json")
+
+
+@pytest.fixture
+def site(api: LiveApi) -> str:
+    return api.site(cameras=1)
+
+
+@pytest.fixture
+def ready_site(api: LiveApi, site: str) -> str:
+    api.upload(site, b"a recording")
+    return site
+
+
+def assert_problem(response: httpx.Response, status: int, code: str) -> dict[str, Any]:
+    assert response.status_code == status, response.text
+    assert response.headers["content-type"] == "application/problem+json"
+    body: dict[str, Any] = response.json()
+    assert body["code"] == code
+    assert body["type"] == f"urn:wibam:problem:{code}"
+    assert body["status"] == status
+    assert body["detail"]
+    return body
+
+
+class TestToken:
+    @pytest.mark.parametrize("header", [None, "", "Bearer", "Bearer wrong", "Basic a-token-for-tests"])
+    @pytest.mark.parametrize(
+        ("method", "path"), [("GET", "/v1/sites"), ("POST", "/v1/uploads"), ("GET", "/v1/nothing")]
+    )
+    def test_nothing_without_it(self, api: LiveApi, method: str, path: str, header: str | None) -> None:
+        headers = {} if header is None else {"Authorization": header}
+        response = httpx.request(method, api.url + path, headers=headers)
+        body = assert_problem(response, 401, "unauthorised")
+        assert "Bearer" in body["hint"]
+        assert response.headers["www-authenticate"] == "Bearer"
+
+    def test_not_in_the_address(self, api: LiveApi) -> None:
+        assert httpx.get(f"{api.url}/v1/sites?token=a-token-for-tests").status_code == 401
+
+    def test_health_and_documentation_are_open(self, api: LiveApi) -> None:
+        for path in ("/healthz", "/version", "/openapi.json", "/docs"):
+            assert httpx.get(api.url + path).status_code == 200
+
+    def test_readiness_names_what_is_missing(self, api: LiveApi) -> None:
+        body = assert_problem(httpx.get(f"{api.url}/readyz"), 503, "service_unavailable")
+        assert "broker" in body["detail"]
+
+
+class TestSites:
+    def test_come_back_as_they_were_given(self, api: LiveApi) -> None:
+        created = api.http.post("/v1/sites", json=SITE)
+        assert created.status_code == 201
+        found = api.http.get(f"/v1/sites/{created.json()['id']}").json()
+        assert found["site"] == SITE
+        assert found["cameras"] == ["cam1", "cam2"]
+        assert found in api.http.get("/v1/sites").json()
+
+    def test_a_wrong_field_is_named(self, api: LiveApi) -> None:
+        wrong = json.loads(json.dumps(SITE))
+        wrong["cameras"][1]["width_px"] = -1
+        body = assert_problem(api.http.post("/v1/sites", json=wrong), 422, "invalid_input")
+        assert body["detail"].startswith("body.cameras.1.width_px")
+        assert body["details"]["errors"][0]["field"] == "body.cameras.1.width_px"
+
+    @pytest.mark.parametrize("camera_id", ["../x", "a b", "", "x" * 65])
+    def test_camera_ids_are_plain(self, api: LiveApi, camera_id: str) -> None:
+        wrong = json.loads(json.dumps(SITE))
+        wrong["cameras"][0]["id"] = camera_id
+        assert_problem(api.http.post("/v1/sites", json=wrong), 422, "invalid_input")
+
+    def test_what_is_no_json_or_too_much(self, api: LiveApi) -> None:
+        headers = {"Content-Type": "application/json"}
+        assert_problem(api.http.post("/v1/sites", content=b"{", headers=headers), 400, "invalid_json")
+        assert_problem(api.http.post("/v1/sites", content=b" " * 4_000_001, headers=headers), 413, "too_large")
+        chunks = (b" " * 100_000 for _ in range(50))
+        assert_problem(api.http.post("/v1/sites", content=chunks, headers=headers), 413, "too_large")
+
+    def test_unknown_paths_and_methods(self, api: LiveApi) -> None:
+        assert_problem(api.http.get("/v1/nothing"), 404, "not_found")
+        assert_problem(api.http.put("/v1/sites"), 405, "method_not_allowed")
+        assert_problem(api.http.get("/v1/sites/site_0000000000000000"), 404, "not_found")
+
+    def test_are_kept_while_they_have_jobs(self, api: LiveApi, ready_site: str) -> None:
+        job = api.http.post(f"/v1/sites/{ready_site}/jobs", json={}).json()["id"]
+        assert_problem(api.http.delete(f"/v1/sites/{ready_site}"), 409, "conflict")
+        api.http.post(f"/v1/jobs/{job}/cancel")
+        assert api.http.delete(f"/v1/jobs/{job}").status_code == 204
+        assert api.http.delete(f"/v1/sites/{ready_site}").status_code == 204
+        assert api.http.get(f"/v1/sites/{ready_site}").status_code == 404
+
+    def test_files_can_be_taken_off(self, api: LiveApi, ready_site: str) -> None:
+        [file] = api.http.get(f"/v1/sites/{ready_site}/recordings").json()
+        path = f"/v1/sites/{ready_site}/recordings/{file['id']}"
+        assert api.http.delete(path).status_code == 204
+        assert api.http.get(f"/v1/sites/{ready_site}/recordings").json() == []
+        assert_problem(api.http.delete(path), 404, "not_found")
+
+
+class TestCreatingJobs:
+    def test_a_job_has_all_stages(self, api: LiveApi, ready_site: str) -> None:
+        created = api.http.post(f"/v1/sites/{ready_site}/jobs", json={"options": {"finetune": {"steps": 7}}})
+        assert created.status_code == 201
+        job = created.json()
+        assert created.headers["Location"] == f"/v1/jobs/{job['id']}"
+        assert [stage["name"] for stage in job["stages"]] == list(STAGES)
+        assert job["state"] == "queued"
+        assert job["stages"][0]["state"] == "queued"
+        assert job["options"] == {"finetune": {"steps": 7}}
+        assert job["files"][0]["camera"] == "cam1"
+        assert api.http.get(f"/v1/jobs/{job['id']}").json()["id"] == job["id"]
+        listed = api.http.get("/v1/jobs", params={"site": ready_site}).json()
+        assert [item["id"] for item in listed] == [job["id"]]
+
+    def test_a_missing_camera_is_named(self, api: LiveApi, site: str) -> None:
+        body = assert_problem(api.http.post(f"/v1/sites/{site}/jobs", json={}), 422, "missing_camera")
+        assert body["details"] == {"cameras": ["cam1"]}
+        assert "Upload a recording" in body["hint"]
+
+    @pytest.mark.parametrize(
+        ("options", "name"),
+        [
+            ({"finetune": {"stepz": 1}}, "finetune.stepz"),
+            ({"cooking": {}}, "cooking"),
+            ({"finetune": {"steps": -1}}, "finetune.steps"),
+            ({"finetune": "fast"}, "finetune"),
+        ],
+    )
+    def test_an_unknown_option_is_named(self, api: LiveApi, ready_site: str, options: dict, name: str) -> None:
+        response = api.http.post(f"/v1/sites/{ready_site}/jobs", json={"options": options})
+        body = assert_problem(response, 422, "unknown_option")
+        assert body["details"]["option"] == name
+        assert body["hint"]
+
+    def test_a_custom_detector_has_to_be_there(self, api: LiveApi, ready_site: str) -> None:
+        options = {"options": {"detect": {"detector": "custom"}}}
+        assert_problem(api.http.post(f"/v1/sites/{ready_site}/jobs", json=options), 422, "invalid_input")
+
+    def test_unknown_fields_are_refused(self, api: LiveApi, ready_site: str) -> None:
+        assert_problem(api.http.post(f"/v1/sites/{ready_site}/jobs", json={"option": {}}), 422, "invalid_input")
+
+    def test_an_idempotency_key_makes_one_job(self, api: LiveApi, ready_site: str) -> None:
+        path, headers = f"/v1/sites/{ready_site}/jobs", {"Idempotency-Key": "k1"}
+        first = api.http.post(path, json={}, headers=headers).json()["id"]
+        assert api.http.post(path, json={}, headers=headers).json()["id"] == first
+        other = api.http.post(path, json={"options": {"report": {"examples": 2}}}, headers=headers)
+        assert_problem(other, 409, "conflict")
+
+    def test_a_plan_starts_nothing(self, api: LiveApi, ready_site: str) -> None:
+        plan = api.http.post(f"/v1/sites/{ready_site}/plan", json={}).json()
+        assert [stage["would"] for stage in plan] == ["run"] * len(STAGES)
+        assert api.http.get("/v1/jobs", params={"site": ready_site}).json() == []
+
+    def test_all_options_are_told(self, api: LiveApi) -> None:
+        options = api.http.get("/v1/options").json()
+        assert set(options["defaults"]) == set(STAGES)
+        assert "description" in json.dumps(options["schema"])
+
+
+class TestSteeringJobs:
+    def job(self, api: LiveApi, site: str) -> str:
+        return str(api.http.post(f"/v1/sites/{site}/jobs", json={}).json()["id"])
+
+    def test_cancel_and_restart(self, api: LiveApi, ready_site: str) -> None:
+        job = self.job(api, ready_site)
+        assert_problem(api.http.post(f"/v1/jobs/{job}/restart", json={}), 409, "conflict")
+        cancelled = api.http.post(f"/v1/jobs/{job}/cancel")
+        assert cancelled.status_code == 202
+        assert cancelled.json()["state"] == "cancelled"
+        body = {"from_stage": "sync", "options": {"sync": {"method": "none"}}}
+        would = {stage["name"]: stage["would"] for stage in api.http.post(f"/v1/jobs/{job}/plan", json=body).json()}
+        assert would["sync"] == "run"
+        restarted = api.http.post(f"/v1/jobs/{job}/restart", json=body).json()
+        assert restarted["state"] == "queued"
+        assert restarted["restarts"] == 1
+        assert restarted["options"] == body["options"]
+        api.http.post(f"/v1/jobs/{job}/cancel")
+        wrong = api.http.post(f"/v1/jobs/{job}/restart", json={"from_stage": "cooking"})
+        assert_problem(wrong, 422, "unknown_option")
+
+    def test_a_waiting_job_cannot_be_deleted(self, api: LiveApi, ready_site: str) -> None:
+        assert_problem(api.http.delete(f"/v1/jobs/{self.job(api, ready_site)}"), 409, "conflict")
+
+    def test_results_that_are_not_there_yet(self, api: LiveApi, ready_site: str) -> None:
+        job = self.job(api, ready_site)
+        for name in ("metrics", "model", "tracks", "conflicts", "report", "report-link"):
+            body = assert_problem(api.http.get(f"/v1/jobs/{job}/{name}"), 409, "conflict")
+            assert "Wait" in body["hint"]
+        assert api.http.get(f"/v1/jobs/{job}/artifacts").json() == []
+
+    def test_events_are_replayed_then_followed_to_the_end(self, api: LiveApi, ready_site: str) -> None:
+        job = self.job(api, ready_site)
+        claim = api.services.leases.claim(StageKey(job, "preflight"), "tests")
+        assert claim is not None
+        api.services.leases.progress(claim, 0.5, "half", {})
+        seen: list[tuple[int, str, dict]] = []
+        with api.http.stream("GET", f"/v1/jobs/{job}/events") as stream:
+            assert stream.headers["content-type"].startswith("text/event-stream")
+            for event in server_sent(stream):
+                seen.append(event)
+                if event[1] == "progress":
+                    api.services.jobs.cancel(job)
+                    api.services.leases.stopped(claim)
+        assert [number for number, _, _ in seen] == list(range(1, len(seen) + 1))
+        assert seen[0][2]["data"]["state"] == "queued"
+        assert seen[-1][1:] == ("job", seen[-1][2])
+        assert seen[-1][2]["data"]["state"] == "cancelled"
+        with api.http.stream("GET", f"/v1/jobs/{job}/events", headers={"Last-Event-ID": "3"}) as stream:
+            assert [number for number, _, _ in server_sent(stream)] == list(range(4, len(seen) + 1))
+
+    def test_events_of_nothing(self, api: LiveApi) -> None:
+        assert_problem(api.http.get("/v1/jobs/job_0000000000000000/events"), 404, "not_found")
+
+    def test_the_log_is_read_by_offset(self, api: LiveApi, ready_site: str) -> None:
+        job = self.job(api, ready_site)
+        path = f"/v1/jobs/{job}/log"
+        assert api.http.get(path).json() == {"text": "", "next_offset": 0, "complete": False}
+        log = api.services.folder.log(job)
+        log.write_text("first\n")
+        part = api.http.get(path).json()
+        assert part == {"text": "first\n", "next_offset": 6, "complete": False}
+        log.write_text("first\nsecond\n")
+        api.http.post(f"/v1/jobs/{job}/cancel")
+        part = api.http.get(path, params={"offset": part["next_offset"]}).json()
+        assert part["text"] == "second\n"
+        assert api.http.get(path, params={"offset": part["next_offset"]}).json()["complete"]
+        assert_problem(api.http.get(path, params={"offset": -1}), 422, "invalid_input")
+
+
+def server_sent(stream: httpx.Response) -> Any:
+    fields: dict[str, str] = {}
+    for line in stream.iter_lines():
+        if line.startswith(":"):
+            continue
+        if line:
+            name, _, value = line.partition(": ")
+            fields[name] = value
+        elif fields:
+            yield int(fields["id"]), fields["event"], json.loads(fields["data"])
+            fields = {}
+
+
+class TestOpenApi:
+    @pytest.fixture
+    def document(self, api: LiveApi) -> dict[str, Any]:
+        found: dict[str, Any] = httpx.get(f"{api.url}/openapi.json").json()
+        return found
+
+    def operations(self, document: dict[str, Any]) -> list[tuple[str, str, dict[str, Any]]]:
+        return [(path, method, op) for path, ops in document["paths"].items() for method, op in ops.items()]
+
+    def test_every_operation_is_summarised_and_tagged(self, document: dict[str, Any]) -> None:
+        for path, method, operation in self.operations(document):
+            assert operation["summary"], f"{method} {path}"
+            assert operation["tags"], f"{method} {path}"
+
+    def test_everything_under_v1_says_that_it_needs_the_token(self, document: dict[str, Any]) -> None:
+        for path, method, operation in self.operations(document):
+            assert ("security" in operation) == path.startswith("/v1/"), f"{method} {path}"
+
+    def test_every_error_is_a_problem(self, document: dict[str, Any]) -> None:
+        for path, method, operation in self.operations(document):
+            for status, response in operation["responses"].items():
+                if status[0] in "45":
+                    assert list(response["content"]) == ["application/problem+json"], f"{method} {path} {status}"
+
+    def test_every_reference_leads_somewhere(self, document: dict[str, Any]) -> None:
+        text = json.dumps(document)
+        for name in set(re.findall(r"#/components/schemas/([^\"]+)", text)):
+            assert name in document["components"]["schemas"], name
+
+    def test_the_page_loads_nothing_from_elsewhere(self, api: LiveApi) -> None:
+        page = httpx.get(f"{api.url}/docs").text
+        assert "http://" not in page
+        assert "https://" not in page

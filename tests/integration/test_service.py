@@ -1,0 +1,211 @@
+"""Jobs through the whole service: HTTP, database, Redis, Celery worker, stage processes."""
+
+from __future__ import annotations
+
+import os
+import signal
+import stat
+import subprocess
+import sys
+import time
+from collections.abc import Callable
+from pathlib import Path
+
+import httpx
+import pytest
+
+from tests.builders import corner_rig, site_of
+from tests.recordings import write_recording
+from wibam_core.cli.embedded import EmbeddedService
+from wibam_core.client import JobView, WibamClient
+from wibam_core.errors import Conflict, MissingCamera, Unauthorised, UnknownOption
+from wibam_core.jobs.states import JobState, StageState
+
+SITE = site_of(corner_rig(2))
+OPTIONS = {"preflight": {"min_overlap_s": 1.0}}  # the cameras have no signals, so that jobs end at sync: soon
+
+
+@pytest.fixture(scope="module")
+def recording(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Noise: it can be decoded, and nothing is in it."""
+    return write_recording(tmp_path_factory.mktemp("video") / "noise.mp4", width_px=640, height_px=360, seconds=3.0)
+
+
+def send(client: WibamClient, recording: Path, cameras: tuple[str, ...] = ("cam1", "cam2")) -> str:
+    site = client.create_site(SITE)
+    for camera in cameras:
+        client.upload_recording(site.id, camera, recording)
+    return site.id
+
+
+def stage(job: JobView, name: str) -> StageState:
+    return next(item.state for item in job.stages if item.name == name)
+
+
+def wait_for(condition: Callable[[], bool], seconds: float = 60.0) -> None:
+    deadline = time.monotonic() + seconds
+    while not condition():
+        assert time.monotonic() < deadline
+        time.sleep(0.1)
+
+
+def processes_of(service_data: Path, marker: str) -> list[int]:
+    """Processes with ``marker`` in their command line that belong to the service on this data folder."""
+    found = []
+    for folder in Path("/proc").glob("[0-9]*"):
+        try:
+            command = (folder / "cmdline").read_bytes().replace(b"\0", b" ")
+            if marker.encode() in command and bytes(service_data) in (folder / "environ").read_bytes():
+                found.append(int(folder.name))
+        except OSError:
+            continue  # it has just ended
+    return found
+
+
+class TestJobs:
+    def test_a_job_runs_up_to_the_stage_that_cannot_go_on(self, client: WibamClient, recording: Path) -> None:
+        site = send(client, recording)
+        updates: list[JobView] = []
+        job = client.wait(client.create_job(site, OPTIONS).id, updates.append, timeout_s=120, interval_s=0.1)
+        assert job.state is JobState.FAILED
+        assert job.error is not None
+        assert job.error.code == "no_signal_change"
+        assert job.error.hint
+        assert job.error.details["stage"] == "sync"
+        assert stage(job, "preflight") is StageState.SUCCEEDED
+        assert stage(job, "finetune") is StageState.PENDING
+        assert {JobState.RUNNING, JobState.FAILED} <= {update.state for update in updates}
+        assert "[preflight] done" in client.log(job.id)[0]
+        assert {file.camera for file in client.files(site)} == {"cam1", "cam2"}
+        would = {planned.name: planned.would for planned in client.plan(site, OPTIONS)}
+        assert (would["preflight"], would["sync"]) == ("reuse", "run")
+        again = client.wait(client.create_job(site, OPTIONS).id, timeout_s=60)
+        assert stage(again, "preflight") is StageState.REUSED
+
+    @pytest.mark.slow
+    def test_frames_and_detections_are_made(self, client: WibamClient, recording: Path) -> None:
+        job = client.create_job(send(client, recording), {**OPTIONS, "sync": {"method": "none"}})
+        job = client.wait(job.id, timeout_s=240)
+        assert stage(job, "detect") is StageState.SUCCEEDED or stage(job, "frames") is StageState.SUCCEEDED
+        assert job.error is not None
+        assert job.error.code in ("no_vehicles", "no_multiview_vehicles")
+
+    def test_a_recording_that_is_none_fails_its_job_alone(
+        self, client: WibamClient, recording: Path, tmp_path: Path
+    ) -> None:
+        text = tmp_path / "notes.mp4"
+        text.write_text("not a video at all")
+        site = send(client, recording, cameras=("cam1",))
+        client.upload_recording(site, "cam2", text)
+        job = client.wait(client.create_job(site, OPTIONS).id, timeout_s=60)
+        assert job.error is not None
+        assert job.error.code == "unreadable_video"
+        assert "cam2" in job.error.message
+        client.upload_recording(site, "cam2", recording)
+        assert client.create_job(site, OPTIONS).state is JobState.QUEUED
+
+    def test_a_running_job_can_be_cancelled_and_restarted(self, client: WibamClient, recording: Path) -> None:
+        options = {"preflight": {"min_overlap_s": 1.1}}
+        job = client.create_job(send(client, recording), options)
+        wait_for(lambda: client.job(job.id).state is JobState.RUNNING)
+        client.cancel(job.id)
+        cancelled = client.wait(job.id, timeout_s=30)
+        assert cancelled.state is JobState.CANCELLED
+        assert StageState.RUNNING not in {item.state for item in cancelled.stages}
+        client.restart(job.id)
+        ended = client.wait(job.id, timeout_s=60)
+        assert stage(ended, "preflight").has_outputs
+        client.delete_job(job.id)
+        assert job.id not in {found.id for found in client.jobs()}
+
+    def test_what_cannot_work_is_refused_at_once(self, client: WibamClient, recording: Path) -> None:
+        site = send(client, recording, cameras=("cam1",))
+        with pytest.raises(MissingCamera) as missing:
+            client.create_job(site)
+        assert missing.value.details == {"cameras": ["cam2"]}
+        with pytest.raises(UnknownOption):
+            client.create_job(site, {"finetune": {"speed": "fast"}})
+
+
+class TestDeaths:
+    def test_a_killed_stage_is_a_crash_with_its_log(
+        self, service: EmbeddedService, client: WibamClient, recording: Path
+    ) -> None:
+        job = client.create_job(send(client, recording), {"preflight": {"min_overlap_s": 1.2}})
+        wait_for(lambda: bool(processes_of(service.data_dir, "stages.execute")))
+        for pid in processes_of(service.data_dir, "stages.execute"):
+            os.kill(pid, signal.SIGKILL)
+        failed = client.wait(job.id, timeout_s=60)
+        assert failed.error is not None
+        assert failed.error.code == "stage_crashed"
+
+    @pytest.mark.slow
+    def test_a_killed_worker_is_replaced_and_its_stage_taken_up(
+        self, service: EmbeddedService, client: WibamClient, recording: Path
+    ) -> None:
+        job = client.create_job(send(client, recording), {"preflight": {"min_overlap_s": 1.3}})
+        wait_for(lambda: client.job(job.id).state is JobState.RUNNING)
+        workers = processes_of(service.data_dir, "worker.app")
+        assert workers
+        for pid in workers:
+            os.kill(pid, signal.SIGKILL)
+        wait_for(lambda: not processes_of(service.data_dir, "stages.execute"), 10)
+        ended = client.wait(job.id, timeout_s=120)
+        assert stage(ended, "preflight") is StageState.SUCCEEDED
+        assert "attempt 2" in client.log(job.id)[0]
+
+    @pytest.mark.slow
+    def test_a_killed_redis_is_replaced_and_loses_no_job(
+        self, service: EmbeddedService, client: WibamClient, recording: Path
+    ) -> None:
+        site = send(client, recording)
+        for pid in processes_of(service.data_dir, "redis.sock"):
+            os.kill(pid, signal.SIGKILL)
+        job = client.create_job(site, {"preflight": {"min_overlap_s": 1.4}})
+        ended = client.wait(job.id, timeout_s=180)
+        assert stage(ended, "preflight") is StageState.SUCCEEDED
+
+
+class TestService:
+    def test_the_token_is_private_and_needed(self, service: EmbeddedService) -> None:
+        path = service.data_dir / "token"
+        assert stat.S_IMODE(path.stat().st_mode) == 0o600
+        assert path.read_text().strip() == service.token
+        assert httpx.get(f"{service.url}/readyz").status_code == 200
+        with pytest.raises(Unauthorised), WibamClient(service.url, "wrong") as client:
+            client.sites()
+
+    def test_a_folder_has_one_service(self, service: EmbeddedService) -> None:
+        with pytest.raises(Conflict, match="another service"), EmbeddedService(service.data_dir):
+            pass
+
+    def test_a_taken_port_is_said(self, service: EmbeddedService, tmp_path: Path) -> None:
+        port = int(service.url.rpartition(":")[2])
+        with pytest.raises(Conflict, match="cannot listen"), EmbeddedService(tmp_path / "d", port=port):
+            pass
+
+    def test_a_long_and_odd_path_will_do(self, tmp_path: Path) -> None:
+        with EmbeddedService(tmp_path / ("ä b" * 30) / "data") as service:
+            assert httpx.get(f"{service.url}/readyz").status_code == 200
+
+    @pytest.mark.slow
+    def test_after_kill_nothing_is_left_and_the_folder_works_again(self, tmp_path: Path) -> None:
+        data = tmp_path / "data"
+        code = f"""
+import sys, time
+from pathlib import Path
+from wibam_core.cli.embedded import EmbeddedService
+with EmbeddedService(Path({str(data)!r})) as service:
+    print(service.url, service.token, flush=True)
+    time.sleep(600)
+"""
+        with subprocess.Popen([sys.executable, "-c", code], stdout=subprocess.PIPE, text=True) as process:
+            assert process.stdout is not None
+            url, token = process.stdout.readline().split()
+            with WibamClient(url, token) as client:
+                site = client.create_site(SITE).id
+            process.kill()
+        wait_for(lambda: not processes_of(data, ""), 15)
+        with EmbeddedService(data) as service, WibamClient(service.url, service.token) as client:
+            assert service.token == token
+            assert [found.id for found in client.sites()] == [site]

@@ -1,0 +1,83 @@
+"""What the documents say is so: links resolve, targets and commands exist, examples parse."""
+
+from __future__ import annotations
+
+import json
+import re
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from wibam_core.config import PipelineConfig
+from wibam_core.site import Site
+from wibam_core.stages.graph import STAGES
+
+ROOT = Path(__file__).resolve().parents[2]
+DOCUMENTS = sorted([*ROOT.glob("*.md"), *(ROOT / "docs").glob("*.md")])
+
+
+def fenced(document: Path, language: str) -> list[str]:
+    return re.findall(rf"```{language}\n(.*?)```", document.read_text(), re.DOTALL)
+
+
+@pytest.mark.parametrize("document", DOCUMENTS, ids=lambda p: p.name)
+def test_links_resolve(document: Path) -> None:
+    for target in re.findall(r"\]\(([^)#]+)[^)]*\)", document.read_text()):
+        if not target.startswith(("http://", "https://")):
+            assert (document.parent / target).exists(), f"{document.name} links to {target}"
+
+
+@pytest.mark.parametrize("document", DOCUMENTS, ids=lambda p: p.name)
+def test_make_targets_and_commands_exist(document: Path) -> None:
+    text = document.read_text()
+    targets = set(re.findall(r"^([a-z-]+):", (ROOT / "Makefile").read_text(), re.MULTILINE))
+    assert (
+        set(re.findall(r"`make ([a-z-]+)", text)) | set(re.findall(r"^make ([a-z-]+)", text, re.MULTILINE)) <= targets
+    )
+    from wibam_core.cli.app import app
+
+    commands = {c.name or c.callback.__name__ for c in app.registered_commands if c.callback} | {
+        g.name for g in app.registered_groups
+    }
+    named = set(re.findall(r"(?:`|^|\$ )(?:\.venv/bin/)?wibam ([a-z]+)", text, re.MULTILINE))
+    assert named <= commands, f"{document.name} names unknown commands {named - commands}"
+
+
+def test_the_example_site_is_one() -> None:
+    (example,) = fenced(ROOT / "docs" / "site-format.md", "json")
+    site = Site.parse(example)
+    assert json.loads(example)["cameras"][0]["id"] == site.cameras[0].id
+
+
+def test_the_stage_table_is_the_graph() -> None:
+    rows = re.findall(r"^\| (\w+) \| ([\w, ]*)\| ", (ROOT / "docs" / "architecture.md").read_text(), re.MULTILINE)
+    table = {name: needs.strip() for name, needs in rows if name in STAGES}
+    assert list(table) == list(STAGES)
+    for name, needs in table.items():
+        if needs != "all of them":
+            assert tuple(filter(None, needs.split(", "))) == STAGES[name].requires, name
+
+
+def test_options_that_documents_and_hints_name_exist() -> None:
+    options = {
+        f"{name}.{field}" for name, spec in STAGES.items() for field in type(spec.config(PipelineConfig())).model_fields
+    }
+    named: set[str] = set()
+    for document in DOCUMENTS:
+        named |= set(re.findall(rf"`((?:{'|'.join(STAGES)})\.[a-z_]+)`", document.read_text()))
+    hints = (ROOT / "wibam_core" / "errors.py").read_text()
+    named |= set(re.findall(rf"\b((?:{'|'.join(STAGES)})\.[a-z_]+)", hints))
+    assert {name for name in named if not name.endswith((".json", ".html"))} <= options
+
+
+def test_the_command_line_answers() -> None:
+    done = subprocess.run(
+        [sys.executable, "-c", "from wibam_core.cli import main; main()", "--help"],
+        capture_output=True,
+        text=True,
+        cwd=ROOT,
+    )
+    assert done.returncode == 0, done.stderr
+    assert "Fine-tune" in done.stdout

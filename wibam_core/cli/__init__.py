@@ -1,0 +1,24 @@
+"""`wibam`: the command line."""
+
+from __future__ import annotations
+
+import sys
+
+from rich.console import Console
+from rich.markup import escape
+
+from wibam_core.errors import WibamError
+
+
+def main() -> None:
+    """Run the command line; an error that a person can act on is one sentence and a hint, not a traceback."""
+    from wibam_core.cli.app import app
+
+    try:
+        app(standalone_mode=True)
+    except WibamError as error:
+        console = Console(stderr=True)
+        console.print(f"[red]{escape(error.message)}[/] [dim]({error.code})[/]", highlight=False)
+        if error.hint:
+            console.print(escape(error.hint), highlight=False)
+        sys.exit(1)

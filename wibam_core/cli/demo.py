@@ -1,0 +1,102 @@
+"""`wibam demo`: everything once, on a simulated intersection, the way a user would do it over HTTP."""
+
+from __future__ import annotations
+
+import json
+import shutil
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+from rich.console import Console
+from rich.markup import escape
+from rich.progress import Progress, TimeElapsedColumn
+
+from wibam_core.cli.embedded import EmbeddedService
+from wibam_core.cli.run import parse_options
+from wibam_core.cli.service import watch
+from wibam_core.cli.tables import print_tables
+from wibam_core.cli.upload import send_site
+from wibam_core.client import JobView, WibamClient
+from wibam_core.formats.tracks import read_tracks
+from wibam_core.report.summary import summary
+from wibam_core.stages.runner import SiteFolder
+from wibam_core.synthetic.options import SimulationOptions
+from wibam_core.synthetic.recorder import record_site
+
+#: Options that fit the whole thread into five minutes on two cores; the service's own defaults are for real footage.
+_QUICK: dict[str, dict[str, Any]] = {"finetune": {"steps": 220}, "track": {"rate_hz": 5.0}}
+
+
+def demo(
+    out: Annotated[Path, typer.Option(help="Where everything goes; an earlier demo there is replaced.")] = Path("demo"),
+    seed: Annotated[int, typer.Option(help="Another seed is another intersection.")] = 12,
+    seconds: Annotated[float, typer.Option(help="Length of the recordings.", min=20)] = 50.0,
+    density: Annotated[float, typer.Option(help="Traffic; 1 is about 6 vehicles a minute and lane.")] = 2.0,
+    option: Annotated[list[str] | None, typer.Option("--set", help="An option, e.g. finetune.steps=200.")] = None,
+) -> None:
+    """Record a simulated intersection, upload it, fine-tune on it, and show what came out."""
+    console = Console()
+    options = {stage: dict(values) for stage, values in _QUICK.items()}
+    for stage, values in parse_options(option or []).items():
+        options.setdefault(stage, {}).update(values)
+    if out.exists():
+        shutil.rmtree(out)
+    out.mkdir(parents=True)
+    spent: dict[str, float] = {}
+    with EmbeddedService(out / "data") as service, WibamClient(service.url, service.token) as client:
+        console.print(f"1. The service is up at {service.url}", highlight=False)
+        console.print("2. Recording a simulated intersection with four cameras to video files", highlight=False)
+        with _timed(spent, "simulate"):
+            _record(
+                out / "site", SimulationOptions(seed=seed, seconds=seconds, traffic_density=density, workers=2), console
+            )
+        console.print("3. Uploading the recordings and the calibration over HTTP", highlight=False)
+        with _timed(spent, "upload"):
+            site_id = send_site(client, SiteFolder.load(out / "site"), console)
+        console.print("4. Fine-tuning without one hand label", highlight=False)
+        job = watch(client, client.create_job(site_id, options).id, console)
+        _fetch(client, job, out)
+    metrics = json.loads((out / "metrics.json").read_bytes())
+    conflicts = json.loads((out / "conflicts.json").read_bytes())
+    tracks = read_tracks(out / "tracks.parquet")
+    print_tables(console, metrics, tracks, conflicts)
+    paths = {name: out / file for name, file in _FILES.items()}
+    spent |= {stage.name: stage.seconds or 0.0 for stage in job.stages}
+    result = summary(metrics, spent, len(tracks), len(conflicts["conflicts"]), paths)
+    (out / "summary.json").write_text(json.dumps(result, indent=1), encoding="utf-8")
+    for name, path in [*paths.items(), ("summary", out / "summary.json")]:
+        console.print(f"{name:<8} {escape(str(path))}", highlight=False, soft_wrap=True)
+    console.print(f"[dim]{sum(spent.values()):.0f} s in all[/]", highlight=False)
+
+
+_FILES = {"weights": "weights.safetensors", "tracks": "tracks.parquet", "report": "report.html"}
+
+
+def _record(folder: Path, options: SimulationOptions, console: Console) -> None:
+    columns = (*Progress.get_default_columns(), TimeElapsedColumn())
+    with Progress(*columns, console=console, disable=not console.is_terminal) as display:
+        task = display.add_task("simulating", total=1.0)
+
+        def show(fraction: float, message: str = "", **_: float) -> None:
+            display.update(task, completed=fraction, description=message or "simulating")
+
+        record_site(folder, options, show)
+
+
+def _fetch(client: WibamClient, job: JobView, out: Path) -> None:
+    client.download_model(job.id, out / _FILES["weights"])
+    client.download_tracks(job.id, out / _FILES["tracks"])
+    client.download_report(job.id, out / _FILES["report"])
+    (out / "metrics.json").write_text(json.dumps(client.metrics(job.id), indent=1), encoding="utf-8")
+    (out / "conflicts.json").write_text(json.dumps(client.conflicts(job.id), indent=1), encoding="utf-8")
+
+
+@contextmanager
+def _timed(spent: dict[str, float], name: str) -> Iterator[None]:
+    started = time.monotonic()
+    yield
+    spent[name] = time.monotonic() - started

@@ -1,0 +1,88 @@
+"""Live progress in a terminal: one line per stage, shared by `wibam run`, `wibam jobs watch` and `wibam demo`."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from types import TracebackType
+from typing import Any
+
+from rich.console import Console
+from rich.progress import BarColumn, Progress, TaskID, TextColumn, TimeElapsedColumn
+
+from wibam_core.stages.graph import STAGES
+
+_MARKS = {
+    "pending": "[dim]·[/]",
+    "running": "[cyan]▶[/]",
+    "succeeded": "[green]✓[/]",
+    "reused": "[green]↺[/]",
+    "failed": "[red]✗[/]",
+    "cancelled": "[yellow]■[/]",
+}
+
+
+@dataclass
+class _Line:
+    task: TaskID
+    state: str = "pending"
+
+
+class StageDisplay:
+    """A context manager that shows how the stages of one job are doing.
+
+    In a terminal the lines are live; elsewhere (a pipe, a log) one line is printed when a stage ends.
+    """
+
+    def __init__(self, console: Console) -> None:
+        self._console = console
+        self._progress = Progress(
+            TextColumn("{task.fields[mark]} {task.description:<36}"),
+            BarColumn(bar_width=24),
+            TextColumn("{task.percentage:>3.0f}%"),
+            TimeElapsedColumn(),
+            TextColumn("[dim]{task.fields[message]}[/]"),
+            console=console,
+            disable=not console.is_terminal,
+        )
+        self._lines: dict[str, _Line] = {}
+
+    def __enter__(self) -> StageDisplay:
+        self._progress.start()
+        for name, spec in STAGES.items():
+            task = self._progress.add_task(spec.title, total=1.0, start=False, mark=_MARKS["pending"], message="")
+            self._lines[name] = _Line(task)
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self._progress.stop()
+
+    def update(
+        self,
+        stage: str,
+        state: str,
+        fraction: float = 0.0,
+        message: str = "",
+        figures: Mapping[str, Any] | None = None,
+        seconds: float | None = None,
+    ) -> None:
+        """Show a stage's state ("pending", "running", "succeeded", "reused", "failed", "cancelled")."""
+        line = self._lines[stage]
+        if state == "running" and line.state != "running":
+            self._progress.start_task(line.task)
+        shown = "  ".join([message, *(f"{k} {v:.3g}" for k, v in (figures or {}).items())]).strip()
+        ended = state in ("succeeded", "reused", "failed", "cancelled")
+        self._progress.update(
+            line.task,
+            completed=1.0 if state in ("succeeded", "reused") else fraction,
+            mark=_MARKS.get(state, " "),
+            message=shown,
+        )
+        if ended and line.state != state:
+            self._progress.stop_task(line.task)
+            if not self._console.is_terminal:
+                took = "" if seconds is None else f"{seconds:6.1f} s"
+                self._console.print(f"{state:>9} {took:>9}  {STAGES[stage].title}", highlight=False)
+        line.state = state

@@ -1,0 +1,129 @@
+"""`wibam jobs`: what a service works on."""
+
+from __future__ import annotations
+
+import time
+from typing import Annotated
+
+import typer
+from rich.console import Console
+from rich.markup import escape
+from rich.table import Table
+
+from wibam_core.cli.run import parse_options
+from wibam_core.cli.service import DEFAULT_URL, JobDisplay, Token, Url, connect
+from wibam_core.cli.service import watch as watch_job
+from wibam_core.client import JobView
+
+app = typer.Typer(help="Look at the jobs of a service, and steer them.", no_args_is_help=True)
+JobId = Annotated[str, typer.Argument(help="The id of a job.")]
+
+
+@app.command("list")
+def list_jobs(
+    url: Url = DEFAULT_URL,
+    token: Token = "",
+    site: Annotated[str | None, typer.Option(help="Of this site alone.")] = None,
+) -> None:
+    """List jobs, the newest first."""
+    table = Table("job", "site", "state", "done", "stage", "created")
+    with connect(url, token) as client:
+        for job in client.jobs(site):
+            table.add_row(
+                job.id, job.site_id, job.state.value, f"{job.fraction:.0%}", _current_stage(job), job.created_at[:19]
+            )
+    Console().print(table)
+
+
+@app.command()
+def show(job_id: JobId, url: Url = DEFAULT_URL, token: Token = "") -> None:
+    """Show a job and its stages as they are now."""
+    console = Console()
+    with connect(url, token) as client:
+        job = client.job(job_id)
+    table = Table("stage", "state", "done", "seconds", "says")
+    for stage in job.stages:
+        seconds = "" if stage.seconds is None else f"{stage.seconds:.1f}"
+        says = stage.error.message if stage.error is not None else stage.message
+        table.add_row(stage.title, stage.state.value, f"{stage.fraction:.0%}", seconds, escape(says))
+    console.print(table)
+    left = "" if job.remaining_s is None else f", about {job.remaining_s:.0f} s left"
+    console.print(f"{job.id}: {job.state}, {job.fraction:.0%} done{left}", highlight=False)
+    if job.error is not None:
+        console.print(f"[red]{escape(job.error.message)}[/] [dim]({job.error.code})[/]", highlight=False)
+        console.print(escape(job.error.hint), highlight=False)
+
+
+@app.command()
+def create(
+    site_id: Annotated[str, typer.Argument(help="The id of a site.")],
+    url: Url = DEFAULT_URL,
+    token: Token = "",
+    option: Annotated[list[str] | None, typer.Option("--set", help="An option, e.g. finetune.steps=200.")] = None,
+    dry_run: Annotated[bool, typer.Option(help="Only say which stages would run.")] = False,
+) -> None:
+    """Start a job on a site whose recordings are there."""
+    console = Console()
+    options = parse_options(option or [])
+    with connect(url, token) as client:
+        if dry_run:
+            for stage in client.plan(site_id, options):
+                console.print(f"{stage.would:>6}  {stage.title}", highlight=False)
+            return
+        console.print(client.create_job(site_id, options).id, highlight=False)
+
+
+@app.command()
+def watch(job_id: JobId, url: Url = DEFAULT_URL, token: Token = "") -> None:
+    """Watch a job until it has ended. Ctrl-C stops the watching, not the job."""
+    console = Console()
+    with connect(url, token) as client:
+        job = watch_job(client, job_id, console)
+        console.print(f"{job.id}: {job.state}", highlight=False)
+
+
+@app.command()
+def cancel(job_id: JobId, url: Url = DEFAULT_URL, token: Token = "") -> None:
+    """Stop a job. Finished stages are kept."""
+    console = Console()
+    with connect(url, token) as client, JobDisplay(console) as display:
+        client.cancel(job_id)
+        job = client.wait(job_id, display.update, timeout_s=60.0)
+    console.print(f"{job.id}: {job.state}", highlight=False)
+
+
+@app.command()
+def restart(
+    job_id: JobId,
+    url: Url = DEFAULT_URL,
+    token: Token = "",
+    from_stage: Annotated[str | None, typer.Option(help="Make this stage and all after it anew.")] = None,
+) -> None:
+    """Run a job again from the first stage that has no outputs."""
+    with connect(url, token) as client:
+        job = client.restart(job_id, from_stage)
+    Console().print(f"{job.id}: {job.state}", highlight=False)
+
+
+@app.command()
+def log(
+    job_id: JobId,
+    url: Url = DEFAULT_URL,
+    token: Token = "",
+    follow: Annotated[bool, typer.Option("--follow", "-f", help="Go on until the job has ended.")] = False,
+) -> None:
+    """Print a job's log."""
+    offset, complete = 0, False
+    with connect(url, token) as client:
+        while True:
+            text, offset, complete = client.log(job_id, offset)
+            typer.echo(text, nl=False)
+            if complete or not (follow or text):
+                return
+            if not text:
+                time.sleep(0.5)
+
+
+def _current_stage(job: JobView) -> str:
+    active = [s.title for s in job.stages if s.state.value in ("running", "failed")]
+    return ", ".join(active)

@@ -1,0 +1,82 @@
+"""`wibam run`: the whole pipeline on a site folder, without any service."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+from rich.console import Console
+
+from wibam_core.cli.display import StageDisplay
+from wibam_core.config import PipelineConfig
+from wibam_core.errors import UnknownOption
+from wibam_core.stages.graph import STAGES, downstream, plan
+from wibam_core.stages.runner import SiteFolder, StageUpdate, run_pipeline
+from wibam_core.stages.store import StageStore
+
+
+def parse_options(assignments: list[str]) -> dict[str, Any]:
+    """``["finetune.steps=200", "sync.method=none"]`` as nested options; values are JSON or plain text.
+
+    Raises:
+        UnknownOption: if an assignment has no stage, no name or no value.
+    """
+    options: dict[str, Any] = {}
+    for assignment in assignments:
+        name, equals, text = assignment.partition("=")
+        stage, dot, key = name.partition(".")
+        if not (equals and dot and key):
+            raise UnknownOption(f"{assignment!r} is not of the form stage.option=value", option=assignment)
+        try:
+            value = json.loads(text)
+        except json.JSONDecodeError:
+            value = text
+        options.setdefault(stage, {})[key] = value
+    return options
+
+
+def run(
+    site_dir: Annotated[Path, typer.Argument(help="A site folder: site.json and recordings/.")] = Path(),
+    out: Annotated[Path | None, typer.Option(help="Where stage outputs go. Default: SITE_DIR/outputs.")] = None,
+    option: Annotated[list[str] | None, typer.Option("--set", help="An option, e.g. finetune.steps=200.")] = None,
+    until: Annotated[str | None, typer.Option(help="Stop after this stage.")] = None,
+    restart_from: Annotated[str | None, typer.Option(help="Run this stage and all after it again.")] = None,
+    dry_run: Annotated[bool, typer.Option(help="Only say which stages would run.")] = False,
+    show_config: Annotated[bool, typer.Option(help="Print all options with these values set, and stop.")] = False,
+) -> None:
+    """Fine-tune on a site folder: recordings in, model, metrics, tracks, conflicts and report out."""
+    console = Console()
+    config = PipelineConfig.parse(parse_options(option or []))
+    if show_config:
+        console.print_json(config.model_dump_json(indent=2))
+        return
+    if until is not None and until not in STAGES:
+        downstream(until)
+    folder = SiteFolder.load(site_dir)
+    store = StageStore(out or site_dir / "outputs")
+    planned = plan(folder.site, config, folder.digests())
+    again = downstream(restart_from) if restart_from is not None else ()
+    if dry_run:
+        for stage in planned:
+            kept = store.find(stage.name, stage.digest) is not None and stage.name not in again
+            console.print(f"{'kept' if kept else 'to run':>7}  {STAGES[stage.name].title}", highlight=False)
+        return
+    for stage in planned:
+        if stage.name in again:
+            store.remove(stage.name, stage.digest)
+    with StageDisplay(console) as display:
+
+        def show(update: StageUpdate) -> None:
+            display.update(update.stage, update.state, update.fraction, update.message, update.figures, update.seconds)
+
+        result = run_pipeline(folder, store, config, show, until=until)
+    if "report" in result.folders:
+        from wibam_core.cli.tables import print_results
+
+        print_results(console, result.folders)
+    else:
+        last = list(result.folders)[-1]
+        console.print_json(data=result.summaries[last])
+        console.print(f"[dim]{result.folders[last]}[/]", highlight=False)

@@ -1,0 +1,41 @@
+"""`wibam serve`: the whole service, from one command."""
+
+from __future__ import annotations
+
+import signal
+from pathlib import Path
+from types import FrameType
+from typing import Annotated
+
+import typer
+from rich.console import Console
+
+from wibam_core.cli.embedded import EmbeddedService
+
+
+def serve(
+    data: Annotated[Path, typer.Option(help="Where everything is kept. Made if need be.")] = Path("wibam-data"),
+    host: Annotated[str, typer.Option(help="Where to listen. Other machines can reach 0.0.0.0.")] = "127.0.0.1",
+    port: Annotated[int, typer.Option(help="0 picks a free one.", min=0, max=65535)] = 8000,
+    workers: Annotated[int, typer.Option(help="How many stages may run at once.", min=1, max=64)] = 1,
+    token: Annotated[
+        str | None, typer.Option(envvar="WIBAM_TOKEN", help="The API token. Default: the one in the data folder.")
+    ] = None,
+) -> None:
+    """Serve the HTTP API, with a worker and all that they need. Ctrl-C ends it; running stages go on next time."""
+    console = Console()
+    signal.signal(signal.SIGTERM, _interrupt)
+    with EmbeddedService(data, host=host, port=port, workers=workers, token=token) as service:
+        console.print(f"WIBAM is at  [bold]{service.url}[/]   (docs: {service.url}/docs)", highlight=False)
+        console.print(f"token        [bold]{service.token}[/]", highlight=False, soft_wrap=True)
+        console.print(f"data         {service.data_dir}", highlight=False, soft_wrap=True)
+        console.print("\nFor the commands `wibam upload`, `jobs` and `tracks`:", highlight=False)
+        console.print(f"  export WIBAM_URL={service.url} WIBAM_TOKEN={service.token}", highlight=False, soft_wrap=True)
+        try:
+            service.wait()
+        except KeyboardInterrupt:
+            console.print("stopping ...")
+
+
+def _interrupt(number: int, frame: FrameType | None) -> None:
+    raise KeyboardInterrupt

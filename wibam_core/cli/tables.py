@@ -1,0 +1,181 @@
+"""Results in a terminal: the before/after table, the first tracks and the first conflicts."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from rich.console import Console
+from rich.markup import escape
+from rich.table import Table
+
+from wibam_core.formats.tracks import read_tracks
+from wibam_core.report.inputs import ConflictRow, Conflicts, DetectorFigures, MeanSd, Metrics, Significance
+from wibam_core.scene import Track
+
+_COLUMNS = (
+    ("bev_iou", "BEV IoU", 2),
+    ("iou_3d", "3D IoU", 2),
+    ("ate_m", "ATE m", 2),
+    ("ase", "ASE", 3),
+    ("aoe_deg", "AOE °", 1),
+    ("recall", "recall", 2),
+)
+_METHODS = (("baseline_depth", "baseline, depth decode"), ("baseline", "baseline"), ("finetuned", "fine-tuned"))
+_SIGNIFICANT = 0.01
+
+
+def print_results(console: Console, folders: Mapping[str, Path]) -> None:
+    """Print what a finished pipeline found and where its files lie.
+
+    Args:
+        console: where to.
+        folders: stage -> its published folder.
+    """
+    metrics = json.loads((folders["evaluate"] / "metrics.json").read_bytes())
+    conflicts = json.loads((folders["safety"] / "conflicts.json").read_bytes())
+    print_tables(console, metrics, read_tracks(folders["track"] / "tracks.parquet"), conflicts)
+    for name, path in result_paths(folders).items():
+        console.print(f"{name:<8} {escape(str(path))}", highlight=False, soft_wrap=True)
+
+
+def result_paths(folders: Mapping[str, Path]) -> dict[str, Path]:
+    """The files that a person wants, by stage folder: "weights", "tracks" and "report"."""
+    return {
+        "weights": folders["finetune"] / "weights.safetensors",
+        "tracks": folders["track"] / "tracks.parquet",
+        "report": folders["report"] / "report.html",
+    }
+
+
+def print_tables(
+    console: Console, metrics: Mapping[str, Any], tracks: Sequence[Track], conflicts: Mapping[str, Any]
+) -> None:
+    """Print the before/after table, the first tracks and the first conflicts.
+
+    Args:
+        console: where to.
+        metrics: the contents of ``metrics.json``.
+        tracks: all of them.
+        conflicts: the contents of ``conflicts.json``.
+    """
+    console.print(before_after_table(Metrics.model_validate(metrics)))
+    console.print(tracks_table(tracks))
+    console.print(conflicts_table(Conflicts.model_validate(conflicts).conflicts))
+
+
+def before_after_table(metrics: Metrics) -> Table:
+    """Baseline against fine-tuned; without labels, their agreement between views."""
+    if metrics.finetuned is None:
+        return _consistency_table(metrics)
+    shown = [(name, title) for name, title in _METHODS if getattr(metrics, name) is not None]
+    table = Table(title="Before and after, on held-out time", caption=_caption(metrics), title_justify="left")
+    table.add_column("")
+    for name, title in shown:
+        table.add_column(title, justify="right", style="bold" if name == "finetuned" else "")
+    detectors: list[tuple[str, DetectorFigures]] = [(name, getattr(metrics, name)) for name, _ in shown]
+    tests = metrics.significance or {}
+    for key, title, digits in _COLUMNS:
+        marks = [tests.get(key) if name == "finetuned" else None for name, _ in detectors]
+        cells = [
+            _cell(getattr(figures, key), digits, mark) for (_, figures), mark in zip(detectors, marks, strict=True)
+        ]
+        table.add_row(title, *cells)
+    for title, count in (("matched", "matched"), ("missed", "missed"), ("false positives", "false_positives")):
+        table.add_row(title, *(_count(getattr(figures, count)) for _, figures in detectors))
+    table.add_row("BEV IoU, misses as 0", *(_cell(figures.bev_iou_misses_zero, 2) for _, figures in detectors))
+    return table
+
+
+def tracks_table(tracks: Sequence[Track], first: int = 5) -> Table:
+    """The first tracks by time."""
+    ordered = sorted(tracks, key=lambda track: (int(track.times_ns[0]), track.track_id))[:first]
+    table = Table(title=f"Tracks: {len(ordered)} of {len(tracks)}", title_justify="left")
+    for title in ("track", "class", "from s", "for s", "states", "path m", "mean km/h", "l × w × h m"):
+        table.add_column(title, justify="left" if title == "class" else "right")
+    for track in ordered:
+        seconds = (track.times_ns - track.times_ns[0]) / 1e9
+        path = float(np.linalg.norm(np.diff(track.boxes[:, :2], axis=0), axis=1).sum())
+        speed = float(np.linalg.norm(track.velocities_mps, axis=1).mean()) * 3.6
+        length, width, height = np.median(track.boxes[:, 3:6], axis=0)
+        table.add_row(
+            str(track.track_id),
+            track.vehicle_class.value,
+            f"{track.times_ns[0] / 1e9:.1f}",
+            f"{seconds[-1]:.1f}",
+            str(len(track)),
+            f"{path:.1f}",
+            f"{speed:.0f}",
+            f"{length:.1f} × {width:.1f} × {height:.1f}",
+        )
+    return table
+
+
+def conflicts_table(conflicts: Sequence[ConflictRow], first: int = 5) -> Table:
+    """The first conflicts by time, with the 90 % intervals."""
+    shown = conflicts[:first]
+    table = Table(title=f"Conflicts: {len(shown)} of {len(conflicts)}", title_justify="left")
+    for title in ("time s", "type", "tracks", "classes", "TTC s", "PET s", "km/h"):
+        table.add_column(title, justify="right" if title in ("time s", "TTC s", "PET s", "km/h") else "left")
+    for row in shown:
+        table.add_row(
+            f"{row.time_ns / 1e9:.1f}",
+            escape(row.type.replace("_", " ")),
+            " – ".join(map(str, row.track_ids)),
+            escape(" – ".join(row.classes)),
+            _timed(row.ttc_s, row.ttc_interval_s),
+            _timed(row.pet_s, row.pet_interval_s),
+            " – ".join(f"{3.6 * speed:.0f}" for speed in row.speeds_mps),
+        )
+    return table
+
+
+def _consistency_table(metrics: Metrics) -> Table:
+    table = Table(
+        title="Before and after, on held-out time",
+        title_justify="left",
+        caption="No labels: agreement between views, which says nothing about an error that all views share.",
+    )
+    for title in ("", "IoU in the other views", "IoU in its own view", "found"):
+        table.add_column(title, justify="left" if not title else "right")
+    for name, title in _METHODS:
+        if name in metrics.self_consistency:
+            value = metrics.self_consistency[name]
+            found = "–" if value.found is None else f"{value.found:.2f}"
+            table.add_row(title, _cell(value.other_views, 2), _cell(value.own_view, 2), found)
+    return table
+
+
+def _caption(metrics: Metrics) -> str:
+    return (
+        f"mean (s.d.) over matched vehicles in {metrics.frames} images; ** differs from the baseline "
+        f"at p < {_SIGNIFICANT} (bootstrap over vehicles), * at p < 0.05"
+    )
+
+
+def _cell(value: MeanSd, digits: int, test: Significance | None = None) -> str:
+    if value.mean is None:
+        return "–"
+    spread = "" if value.sd is None else f" ({value.sd:.{digits}f})"
+    return f"{value.mean:.{digits}f}{spread}{significance_mark(test)}"
+
+
+def significance_mark(test: Significance | None) -> str:
+    """Stars for the bootstrap's p: ``**`` below 0.01, ``*`` below 0.05."""
+    if test is None or test.p_bootstrap is None:
+        return ""
+    return "**" if test.p_bootstrap < _SIGNIFICANT else "*" if test.p_bootstrap < 0.05 else ""
+
+
+def _count(value: int | None) -> str:
+    return "–" if value is None else str(value)
+
+
+def _timed(value: float | None, interval: tuple[float | None, float | None]) -> str:
+    if value is None:
+        return "–"
+    low, high = ("∞" if end is None else f"{end:.1f}" for end in interval)
+    return f"{value:.1f} ({low}–{high})"

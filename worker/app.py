@@ -1,0 +1,62 @@
+"""The Celery app: ``python -m celery -A worker.app worker``. Settings come from the environment."""
+
+from __future__ import annotations
+
+import os
+from functools import cache
+from typing import Any
+
+from celery.signals import worker_init, worker_process_init, worker_shutting_down
+
+from wibam_core.adapters import confine
+from wibam_core.adapters.database import Database
+from wibam_core.adapters.files import DataFolder
+from wibam_core.adapters.job_rows import StageKey
+from wibam_core.adapters.job_store import JobStore
+from wibam_core.adapters.lease_store import LeaseStore
+from wibam_core.adapters.queue import RUN_STAGE, JobQueue, make_celery
+from wibam_core.adapters.settings import ServiceSettings
+from worker.notice import Notice
+from worker.runner import StageRunner
+
+_settings = ServiceSettings.from_environment(os.environ)
+_stopping = Notice()
+app = make_celery(_settings.broker_url)
+
+
+@app.task(name=RUN_STAGE)
+def run_stage(job_id: str, stage: str) -> None:
+    """Look at a stage of a job, and run it if it is to be run and nobody else does."""
+    _runner().run(StageKey(job_id, stage))
+
+
+@cache
+def _runner() -> StageRunner:
+    """One a process, made in the process that uses it: database connections do not survive a fork."""
+    database = Database(_settings.database_url)
+    return StageRunner(
+        JobStore(database),
+        LeaseStore(database, _settings.leases),
+        DataFolder(_settings.data_dir),
+        _settings.limits,
+        _settings.leases,
+        JobQueue(app).dispatch,
+        lambda: _stopping.given,
+    )
+
+
+@worker_init.connect
+def _migrate(**_: Any) -> None:
+    database = Database(_settings.database_url)
+    database.migrate()
+    database.close()
+
+
+@worker_process_init.connect
+def _die_with_the_worker(**_: Any) -> None:
+    confine.die_with_parent(os.getppid())
+
+
+@worker_shutting_down.connect
+def _tell_the_children(**_: Any) -> None:
+    _stopping.give()

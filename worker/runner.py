@@ -1,0 +1,256 @@
+"""One delivery of "run this stage": claim it, run it as a process, publish, tell what comes next."""
+
+from __future__ import annotations
+
+import errno
+import logging
+import os
+import socket
+import tempfile
+import time
+from collections.abc import Callable, Iterable
+from pathlib import Path
+
+from sqlalchemy.exc import OperationalError
+
+from wibam_core.adapters.files import DataFolder
+from wibam_core.adapters.job_rows import StageKey
+from wibam_core.adapters.job_store import JobStore
+from wibam_core.adapters.lease_store import LeaseStore, LostLease
+from wibam_core.adapters.logs import JobLog
+from wibam_core.adapters.records import plain_json
+from wibam_core.adapters.settings import StageLimits
+from wibam_core.config import PipelineConfig
+from wibam_core.errors import (
+    DiskFull,
+    StageCrashed,
+    StageError,
+    StageOutOfMemory,
+    StageTimedOut,
+    WibamError,
+)
+from wibam_core.jobs.leases import Claim, LeasePolicy
+from wibam_core.jobs.records import Job, StageRun
+from wibam_core.stages.base import Summary
+from wibam_core.stages.execute import StageRequest
+from wibam_core.stages.graph import STAGES
+from wibam_core.stages.store import Attempt, StageStore
+from worker.keeper import LeaseKeeper
+from worker.process import Done, Failed, LogLine, Progress, StageProcess, system_oom_kills
+
+_log = logging.getLogger(__name__)
+_POLL_S = 0.2
+_SECONDS_BETWEEN_REPORTS = 0.5
+_SECONDS_BETWEEN_MEMORY_CHECKS = 0.5
+
+
+class _Unwanted(Exception):
+    """The job was cancelled, or another stage of it failed."""
+
+
+class _WorkerStops(Exception):
+    """This worker is asked to end."""
+
+
+class StageRunner:
+    """Runs stages, one call at a time.
+
+    Args:
+        jobs, leases: what is to be done, and by whom.
+        folder: the data folder.
+        limits: what a stage may take.
+        policy: how leases are kept.
+        dispatch: told of the stages that became ready.
+        stopping: whether this worker is asked to end.
+    """
+
+    def __init__(
+        self,
+        jobs: JobStore,
+        leases: LeaseStore,
+        folder: DataFolder,
+        limits: StageLimits,
+        policy: LeasePolicy,
+        dispatch: Callable[[Iterable[StageKey]], None],
+        stopping: Callable[[], bool] = lambda: False,
+    ) -> None:
+        self._jobs = jobs
+        self._leases = leases
+        self._folder = folder
+        self._store = StageStore(folder.stages)
+        self._limits = limits
+        self._policy = policy
+        self._dispatch = dispatch
+        self._stopping = stopping
+        self._owner = f"{socket.gethostname()}:{os.getpid()}"
+
+    def run(self, key: StageKey) -> bool:
+        """Do what a message asks for; returns whether this delivery did the work. A second delivery does nothing."""
+        claim = self._leases.claim(key, self._owner)
+        if claim is None:
+            return False
+        try:
+            ready = self._work(claim)
+        except LostLease as lost:
+            _log.warning("%s", lost)
+            return False
+        self._dispatch(ready)
+        return True
+
+    def _work(self, claim: Claim) -> list[StageKey]:
+        job = self._jobs.job(claim.job_id)
+        stage = job.stage(claim.stage)
+        assert stage is not None
+        with (
+            JobLog(self._folder.log(job.id)) as log,
+            LeaseKeeper(self._leases, claim, self._policy) as keeper,
+        ):
+            try:
+                return self._make_or_find(claim, job, stage, keeper, log)
+            except _Unwanted:
+                log.write(stage.name, "stopped: the job does not want it any more")
+                return self._leases.stopped(claim)
+            except _WorkerStops:
+                log.write(stage.name, "given back: the worker was asked to end")
+                return self._leases.release(claim)
+            except WibamError as error:
+                log.write(stage.name, f"failed: {error.message}")
+                return self._leases.fail(claim, error)
+            except OSError as error:
+                log.write(stage.name, f"failed: {error}")
+                return self._leases.fail(claim, _os_error(stage.name, error))
+
+    def _make_or_find(
+        self, claim: Claim, job: Job, stage: StageRun, keeper: LeaseKeeper, log: JobLog
+    ) -> list[StageKey]:
+        if stage.forced and claim.attempt == 1:
+            self._store.remove(stage.name, stage.hash)
+        if self._store.find(stage.name, stage.hash) is not None:
+            log.write(stage.name, f"reused: {stage.hash[:12]} is there already")
+            summary = self._store.manifest(stage.name, stage.hash)["summary"]
+            return self._leases.succeed(claim, summary, lambda: None, reused=True)
+        attempt = self._store.begin(stage.name, stage.hash)
+        try:
+            log.write(stage.name, f"started, attempt {claim.attempt}")
+            started = time.monotonic()
+            summary = plain_json(self._execute(claim, job, stage, attempt, keeper, log))
+            seconds = time.monotonic() - started
+            self._store.seal(attempt, summary, seconds)
+            if keeper.lost:
+                raise LostLease(f"the lease of {claim} was lost at its end")
+            ready = self._leases.succeed(claim, summary, lambda: self._store.reveal(attempt))
+            self._store.drop_scratch(attempt)
+            log.write(stage.name, f"done in {seconds:.1f} s")
+            return ready
+        finally:
+            self._store.discard(attempt)
+
+    def _execute(
+        self, claim: Claim, job: Job, stage: StageRun, attempt: Attempt, keeper: LeaseKeeper, log: JobLog
+    ) -> Summary:
+        with tempfile.TemporaryDirectory(prefix="wibam-stage-") as home:
+            request = Path(home) / "request.json"
+            request.write_text(self._request(job, stage, attempt).model_dump_json())
+            oom_kills = system_oom_kills()
+            process = StageProcess.start(request, home=Path(home), cache=self._folder.cache, nice=self._limits.nice)
+            try:
+                outcome = self._listen(claim, process, keeper, log)
+            finally:
+                process.close()
+            if isinstance(outcome, Done) and process.process.returncode == 0:
+                return dict(outcome.summary)
+            if isinstance(outcome, Failed):
+                raise WibamError.from_dict(outcome.error)
+            raise _crash(stage.name, process, system_oom_kills() > oom_kills)
+
+    def _listen(self, claim: Claim, process: StageProcess, keeper: LeaseKeeper, log: JobLog) -> Done | Failed | None:
+        outcome: Done | Failed | None = None
+        latest: Progress | None = None
+        deadline = time.monotonic() + self._limits.seconds
+        next_report = next_memory_check = 0.0
+        while True:
+            ended = process.ended
+            for message in process.poll(_POLL_S):
+                match message:
+                    case LogLine(text):
+                        log.write(claim.stage, text)
+                    case Progress():
+                        latest = message
+                    case Done() | Failed():
+                        outcome = message
+            now = time.monotonic()
+            if latest is not None and now >= next_report:
+                self._report(claim, latest)
+                latest, next_report = None, now + _SECONDS_BETWEEN_REPORTS
+            if ended and process.quiet:
+                return outcome
+            if now >= next_memory_check:
+                self._check_memory(claim.stage, process)
+                next_memory_check = now + _SECONDS_BETWEEN_MEMORY_CHECKS
+            self._check_wanted(claim, process, keeper, deadline)
+
+    def _check_wanted(self, claim: Claim, process: StageProcess, keeper: LeaseKeeper, deadline: float) -> None:
+        if keeper.lost:
+            process.kill()
+            raise LostLease(f"the lease of {claim} was lost")
+        if keeper.unwanted:
+            process.kill()
+            raise _Unwanted
+        if self._stopping():
+            process.kill()
+            raise _WorkerStops
+        if time.monotonic() > deadline:
+            process.kill()
+            allowed = self._limits.seconds
+            raise StageTimedOut(f"the stage {claim.stage} took longer than {allowed:g} s", seconds=allowed)
+
+    def _report(self, claim: Claim, progress: Progress) -> None:
+        try:
+            self._leases.progress(claim, progress.fraction, progress.message, progress.figures)
+        except OperationalError as error:  # whether the database stays away is for the lease keeper to judge
+            _log.warning("could not report the progress of %s: %s", claim, error)
+
+    def _check_memory(self, stage: str, process: StageProcess) -> None:
+        used, allowed = process.memory_bytes(), self._limits.memory_bytes
+        if used > allowed:
+            process.kill()
+            raise StageOutOfMemory(
+                f"the stage {stage} took {used / 1e9:.1f} GB of memory, {allowed / 1e9:.1f} GB are allowed",
+                used_bytes=used,
+                limit_bytes=allowed,
+            )
+
+    def _request(self, job: Job, stage: StageRun, attempt: Attempt) -> StageRequest:
+        spec = STAGES[stage.name]
+        upstream: dict[str, Path] = {}
+        for name in spec.requires:
+            required = job.stage(name)
+            folder = self._store.find(name, required.hash) if required is not None else None
+            if folder is None:
+                raise StageError(f"the outputs of the stage {name} are gone", hint=f"Restart the job from {name}.")
+            upstream[name] = folder
+        return StageRequest(
+            stage=stage.name,
+            site=job.site,
+            config=PipelineConfig.parse(job.options),
+            recordings={camera: self._folder.file(file) for camera, file in job.recordings.items()},
+            assets={name: self._folder.file(file) for name, file in job.assets.items() if name in spec.assets},
+            upstream=upstream,
+            output=attempt.output,
+            scratch=attempt.scratch,
+        )
+
+
+def _crash(stage: str, process: StageProcess, system_killed: bool) -> StageError:
+    code = process.process.returncode
+    tail = list(process.tail)
+    if code == -9 and system_killed:
+        return StageOutOfMemory(f"the system killed the stage {stage} for lack of memory", log_tail=tail)
+    how = f"was killed by signal {-code}" if code < 0 else f"ended with exit code {code}, without a result"
+    return StageCrashed(f"the stage {stage} {how}", exit_code=code, log_tail=tail)
+
+
+def _os_error(stage: str, error: OSError) -> StageError:
+    if error.errno in (errno.ENOSPC, errno.EDQUOT):
+        return DiskFull(f"no space left for the stage {stage}")
+    return StageCrashed(f"the stage {stage} could not be run: {error}")
