@@ -54,7 +54,7 @@ def result_paths(folders: Mapping[str, Path]) -> dict[str, Path]:
 def print_tables(
     console: Console, metrics: Mapping[str, Any], tracks: Sequence[Track], conflicts: Mapping[str, Any]
 ) -> None:
-    """Print the before/after table, the first tracks and the first conflicts.
+    """Print the before/after table by both evaluators, the first tracks and the first conflicts.
 
     Args:
         console: where to.
@@ -62,7 +62,11 @@ def print_tables(
         tracks: all of them.
         conflicts: the contents of ``conflicts.json``.
     """
-    console.print(before_after_table(Metrics.model_validate(metrics)))
+    figures = Metrics.model_validate(metrics)
+    console.print(before_after_table(figures))
+    published = published_table(figures)
+    if published is not None:
+        console.print(published)
     console.print(tracks_table(tracks))
     console.print(conflicts_table(Conflicts.model_validate(conflicts).conflicts))
 
@@ -71,22 +75,43 @@ def before_after_table(metrics: Metrics) -> Table:
     """Baseline against fine-tuned; without labels, their agreement between views."""
     if metrics.finetuned is None:
         return _consistency_table(metrics)
-    shown = [(name, title) for name, title in _METHODS if getattr(metrics, name) is not None]
-    table = Table(title="Before and after, on held-out time", caption=_caption(metrics), title_justify="left")
-    table.add_column("")
-    for name, title in shown:
-        table.add_column(title, justify="right", style="bold" if name == "finetuned" else "")
-    detectors: list[tuple[str, DetectorFigures]] = [(name, getattr(metrics, name)) for name, _ in shown]
-    tests = metrics.significance or {}
-    for key, title, digits in _COLUMNS:
-        marks = [tests.get(key) if name == "finetuned" else None for name, _ in detectors]
-        cells = [
-            _cell(getattr(figures, key), digits, mark) for (_, figures), mark in zip(detectors, marks, strict=True)
-        ]
-        table.add_row(title, *cells)
+    detectors = {name: getattr(metrics, name) for name, _ in _METHODS if getattr(metrics, name) is not None}
+    table = _figures_table("Before and after, on held-out time", detectors, _COLUMNS, metrics.significance or {})
+    table.caption = _caption(metrics)
     for title, count in (("matched", "matched"), ("missed", "missed"), ("false positives", "false_positives")):
-        table.add_row(title, *(_count(getattr(figures, count)) for _, figures in detectors))
-    table.add_row("BEV IoU, misses as 0", *(_cell(figures.bev_iou_misses_zero, 2) for _, figures in detectors))
+        table.add_row(title, *(_count(getattr(figures, count)) for figures in detectors.values()))
+    table.add_row("BEV IoU, misses as 0", *(_cell(figures.bev_iou_misses_zero, 2) for figures in detectors.values()))
+    return table
+
+
+def published_table(metrics: Metrics) -> Table | None:
+    """The same detectors measured with the quirks of the published evaluation; None without labels."""
+    detectors = {name: metrics.paper_compat[name] for name, _ in _METHODS if name in (metrics.paper_compat or {})}
+    if metrics.paper_compat is None or not detectors:
+        return None
+    table = _figures_table("As the published evaluation would count (paper_compat)", detectors, _COLUMNS[:-1], {})
+    table.caption = "only boxes that overlap in the image, misses not counted, headings off by 150° and more left out"
+    table.add_row("matched", *(_count(figures.matched) for figures in detectors.values()))
+    return table
+
+
+def _figures_table(
+    title: str,
+    detectors: Mapping[str, DetectorFigures],
+    columns: Sequence[tuple[str, str, int]],
+    tests: Mapping[str, Significance],
+) -> Table:
+    """One row a metric, one column a detector; the fine-tuned one carries the marks of significance."""
+    table = Table(title=title, title_justify="left")
+    table.add_column("")
+    titles = dict(_METHODS)
+    for name in detectors:
+        table.add_column(titles[name], justify="right", style="bold" if name == "finetuned" else "")
+    for key, metric, digits in columns:
+        marks = [tests.get(key) if name == "finetuned" else None for name in detectors]
+        figures = detectors.values()
+        table.add_row(metric, *(_cell(getattr(f, key), digits, mark) for f, mark in zip(figures, marks, strict=True)))
+    table.add_row("AOE of 150° and more", *(_share(figures.alias_share) for figures in detectors.values()))
     return table
 
 
@@ -172,6 +197,10 @@ def significance_mark(test: Significance | None) -> str:
 
 def _count(value: int | None) -> str:
     return "–" if value is None else str(value)
+
+
+def _share(value: float | None) -> str:
+    return "–" if value is None else f"{100 * value:.1f} %"
 
 
 def _timed(value: float | None, interval: tuple[float | None, float | None]) -> str:

@@ -20,13 +20,16 @@ Array = NDArray[np.float64]
 Indices = NDArray[np.int64]
 Mode = Literal["correct", "paper_compat"]
 
+#: More than an instant ever has.
+_MOST_LABELS = 1_000_000
+
 
 @dataclass(frozen=True, eq=False)
 class Sightings:
     """Labelled vehicles as single cameras saw them.
 
     Attributes:
-        vehicle_ids: (K,); a vehicle without an id has a negative one of its own at each sighting.
+        vehicle_ids: (K,); a label without an id has a negative one of its own, the same for every detector.
         visibility: (K,) in that camera. distance_m: (K,) from that camera over the ground.
     """
 
@@ -73,18 +76,20 @@ def evaluate(
         config: which labels count and how near a match is; ``paper_compat`` uses its own published rules.
         mode: see `match_on_ground` and `match_in_image`.
     """
+    labelled = (
+        (found, instant) for found in predictions if (instant := labels.at(found.time_ns)) is not None
+    )
     frames = [
-        _compare_frame(found, instant, rig[str(found.camera_id)], config, mode)
-        for found in predictions
-        if (instant := labels.at(found.time_ns)) is not None
+        _compare_frame(number, found, instant, rig[str(found.camera_id)], config, mode)
+        for number, (found, instant) in enumerate(labelled)
     ]
     predicted = np.concatenate([np.empty((0, 7)), *(frame.predicted for frame in frames)])
     truth = np.concatenate([np.empty((0, 7)), *(frame.truth for frame in frames)])
     return Evaluation(
         mode=mode,
         metrics=compare(predicted, truth) if mode == "correct" else compare_as_published(predicted, truth),
-        matched=_join([frame.matched for frame in frames], -1),
-        missed=_join([frame.missed for frame in frames], -1_000_000_000),
+        matched=_join([frame.matched for frame in frames]),
+        missed=_join([frame.missed for frame in frames]),
         false_positives=sum(frame.false_positives for frame in frames),
         alias_share=alias_share(predicted, truth),
         frames=len(frames),
@@ -101,7 +106,7 @@ class _Frame:
 
 
 def _compare_frame(
-    found: Vehicles3D, instant: LabelledInstant, camera: Camera, config: EvaluateConfig, mode: Mode
+    number: int, found: Vehicles3D, instant: LabelledInstant, camera: Camera, config: EvaluateConfig, mode: Mode
 ) -> _Frame:
     labels = instant.vehicles
     visibility = np.asarray(instant.visibility.get(str(found.camera_id), np.zeros(len(labels))), dtype=np.float64)
@@ -116,7 +121,8 @@ def _compare_frame(
         match = match_on_ground(labels.boxes, counts, found.boxes, config.match_distance_m)
         false_positives = match.false_positives[in_range[match.false_positives]]
         match = replace(match, false_positives=false_positives)
-    sightings = Sightings(labels.ids, visibility, distance)
+    unnamed = -1 - (number * _MOST_LABELS + np.arange(len(labels)))
+    sightings = Sightings(np.where(labels.ids < 0, unnamed, labels.ids), visibility, distance)
     return _Frame(
         found.boxes[match.detections],
         labels.boxes[match.labels],
@@ -130,12 +136,9 @@ def _take(sightings: Sightings, rows: Indices) -> Sightings:
     return Sightings(sightings.vehicle_ids[rows], sightings.visibility[rows], sightings.distance_m[rows])
 
 
-def _join(parts: list[Sightings], first_unknown: int) -> Sightings:
-    ids = np.concatenate([np.empty(0, np.int64), *(part.vehicle_ids for part in parts)])
-    unknown = ids < 0
-    ids[unknown] = first_unknown - np.arange(unknown.sum())
+def _join(parts: list[Sightings]) -> Sightings:
     return Sightings(
-        ids,
+        np.concatenate([np.empty(0, np.int64), *(part.vehicle_ids for part in parts)]),
         np.concatenate([np.empty(0), *(part.visibility for part in parts)]),
         np.concatenate([np.empty(0), *(part.distance_m for part in parts)]),
     )

@@ -37,14 +37,17 @@ class FrameMatch:
     false_positives: Indices
 
 
-def assign(cost: Array, admissible: NDArray[np.bool_]) -> tuple[Indices, Indices]:
-    """Pairs (rows, columns) of the assignment with most admissible pairs, and of those the least total cost."""
-    if not cost.size or not admissible.any():
+def assign(cost: Array, limit: float) -> tuple[Indices, Indices]:
+    """Pairs (rows, columns) of the least total cost, where two that are left alone cost as much as a pair at ``limit``.
+
+    Pairs cost less than ``limit``. Asking for the most pairs first would credit a missed vehicle with its neighbour's
+    detection and that neighbour with a false one.
+    """
+    if not cost.size:
         return np.empty(0, np.int64), np.empty(0, np.int64)
-    forbidden = 1.0 + 2.0 * float(np.abs(cost[admissible]).sum())
-    rows, columns = linear_sum_assignment(np.where(admissible, cost, forbidden))
-    valid = admissible[rows, columns]
-    return rows[valid].astype(np.int64), columns[valid].astype(np.int64)
+    rows, columns = linear_sum_assignment(np.minimum(cost, limit))
+    near = cost[rows, columns] < limit
+    return rows[near].astype(np.int64), columns[near].astype(np.int64)
 
 
 def match_on_ground(labels: Array, counts: NDArray[np.bool_], detections: Array, max_distance_m: float) -> FrameMatch:
@@ -57,11 +60,11 @@ def match_on_ground(labels: Array, counts: NDArray[np.bool_], detections: Array,
         labels: (M, 7) all labelled vehicles.
         counts: (M,) which of them a detector is asked for.
         detections: (N, 7).
-        max_distance_m: a pair farther apart is no match.
+        max_distance_m: a pair this far apart or farther is no match.
     """
     distance = np.linalg.norm(labels[:, None, :2] - detections[None, :, :2], axis=-1)
-    near = distance <= max_distance_m
-    rows, columns = assign(distance, near)
+    near = distance < max_distance_m
+    rows, columns = assign(distance, max_distance_m)
     hits = counts[rows]
     excused = near[~counts].any(axis=0) if (~counts).any() else np.zeros(len(detections), bool)
     unmatched = np.ones(len(detections), bool)
@@ -85,7 +88,7 @@ def match_in_image(labels: Array, visible: NDArray[np.bool_], detections: Array,
     """
     candidates = np.flatnonzero(visible)
     overlap = np.nan_to_num(image_iou(project_boxes(camera, labels[candidates]), project_boxes(camera, detections)))
-    rows, columns = assign(-overlap, overlap > PAPER_MIN_IMAGE_IOU)
+    rows, columns = assign(1.0 - overlap, 1.0 - PAPER_MIN_IMAGE_IOU)
     nothing = np.empty(0, np.int64)
     return FrameMatch(candidates[rows], columns, nothing, nothing)
 

@@ -53,7 +53,7 @@ def self_consistency(
             asked += len(seen)
             targets = np.array([instant.detections[camera_id].boxes[vehicle.views[camera_id]] for vehicle in seen])
             overlap = np.nan_to_num(image_iou(targets, project_boxes(rig[camera_id], found.boxes)))
-            for row, column in zip(*assign(-overlap, overlap > MIN_OWN_IOU), strict=True):
+            for row, column in zip(*assign(1.0 - overlap, 1.0 - MIN_OWN_IOU), strict=True):
                 own.append(float(overlap[row, column]))
                 for other_id, index in seen[row].views.items():
                     if other_id == camera_id:

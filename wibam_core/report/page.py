@@ -186,7 +186,10 @@ def result_rows(metrics: Metrics) -> tuple[ResultRow, ...]:
         ResultRow(title, _counts(networks, name), Cell(""), "", _counts(compat, name), (Cell(""), Cell("")))
         for name, title in (("matched", "matched"), ("missed", "missed"), ("false_positives", "false positives"))
     ]
-    return (*measured, *counted)
+    aliased = ResultRow(
+        "AOE of 150° and more", _alias_shares(networks), Cell(""), "", _alias_shares(compat), (Cell(""), Cell(""))
+    )
+    return (*measured, aliased, *counted)
 
 
 def _metric_row(
@@ -212,6 +215,14 @@ def _cell(value: MeanSd | None, digits: int) -> Cell:
 
 def _cells(networks: tuple[DetectorFigures | None, ...], name: str, digits: int) -> _Triple:
     first, second, third = (_cell(getattr(one, name, MeanSd()), digits) for one in networks)
+    return first, second, third
+
+
+def _alias_shares(networks: tuple[DetectorFigures | None, ...]) -> _Triple:
+    first, second, third = (
+        Cell(NONE if figures is None or figures.alias_share is None else f"{100 * figures.alias_share:.1f} %")
+        for figures in networks
+    )
     return first, second, third
 
 

@@ -105,7 +105,7 @@ def find_conflicts(
     by_id = {track.track_id: track for track in tracks}
     rng = np.random.default_rng(seed)
     found = []
-    pairs = pair_instants(tracks, config.ttc_s)
+    pairs = pair_instants(tracks, max(config.ttc_s, config.pet_s))
     for done, (ids, instants) in enumerate(pairs.items()):
         conflict = _conflict(by_id[ids[0]], by_id[ids[1]], instants, config, rng)
         if conflict is not None:

@@ -133,15 +133,22 @@ def test_paper_quirk_only_matches_in_the_image_count() -> None:
 def test_matching_is_optimal_not_greedy() -> None:
     # Greedy by distance would pair label 1 with detection 0 (1.0 m) and leave label 0 alone.
     labels = boxes((0, 0), (3, 0))
-    found = boxes((2, 0), (6.5, 0))
+    found = boxes((2, 0), (5, 0))
     match = match_on_ground(labels, np.ones(2, bool), found, 4.0)
     assert sorted(zip(match.labels, match.detections, strict=True)) == [(0, 0), (1, 1)]
 
 
-def test_assign_never_pairs_the_inadmissible() -> None:
-    rows, columns = assign(np.array([[1.0, 2.0], [1.0, 9.0]]), np.array([[True, False], [True, False]]))
-    assert len(rows) == 1
-    assert columns[0] == 0
+def test_assign_pairs_nothing_at_the_limit_or_beyond() -> None:
+    rows, columns = assign(np.array([[1.0, 2.0], [1.5, 9.0]]), 2.0)
+    assert (rows.tolist(), columns.tolist()) == ([0], [0])
+    assert [len(found) for found in assign(np.empty((0, 3)), 2.0)] == [0, 0]
+
+
+def test_a_missed_vehicle_is_not_credited_with_its_neighbours_detection() -> None:
+    labels = boxes((0, 0), (0, 3.4))  # two lanes
+    match = match_on_ground(labels, np.ones(2, bool), boxes((0, 0.05), (0, -3.5)), 4.0)
+    assert (match.labels.tolist(), match.detections.tolist()) == ([0], [0])
+    assert (match.missed.tolist(), match.false_positives.tolist()) == ([1], [1])
 
 
 def test_a_detection_of_an_uncounted_label_is_neither_hit_nor_false_positive() -> None:
@@ -157,7 +164,7 @@ def test_a_detection_of_an_uncounted_label_is_neither_hit_nor_false_positive() -
 def test_the_detection_of_a_hidden_vehicle_is_not_credited_to_its_missed_neighbour() -> None:
     truth = boxes((0, 0), (3.5, 0))
     match = match_on_ground(truth, np.array([True, False]), boxes((3.5, 0.1)), 4.0)
-    # the most pairs: the one detection goes to the nearer label, which does not count
+    # the one detection goes to the nearer label, which does not count
     assert match.labels.tolist() == []
     assert match.missed.tolist() == [0]
     assert match.false_positives.tolist() == []
@@ -216,3 +223,12 @@ def test_sightings_without_an_id_are_different_vehicles() -> None:
     evaluation = run(detected(truth[:1]), labelled(truth, [1, 1], ids=[-1, -1]))
     ids = [*evaluation.matched.vehicle_ids, *evaluation.missed.vehicle_ids]
     assert len(set(ids)) == 2
+
+
+def test_a_label_without_an_id_is_the_same_vehicle_for_every_detector() -> None:
+    truth = boxes((0, 0), (8, 8))
+    labels = labelled(truth, [1, 1], ids=[-1, -1])
+    first = run(detected(truth[:1]), labels).matched.vehicle_ids.tolist()
+    second = run(detected(truth[1:]), labels).matched.vehicle_ids.tolist()
+    both = run(detected(truth), labels).matched.vehicle_ids.tolist()
+    assert sorted(first + second) == sorted(both)

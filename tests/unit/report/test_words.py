@@ -105,4 +105,6 @@ def test_terminal_tables(labels):
     text = out.getvalue()
     assert ("0.72 (0.15)**" in text) == labels
     assert "Tracks: 5 of 6" in text and "Conflicts: 1 of 1" in text and "1.3 (0.9–1.8)" in text
+    assert ("paper_compat" in text) == labels
+    assert text.count("AOE of 150° and more") == 2 * labels
     assert "None" not in text

@@ -86,6 +86,14 @@ def test_a_crossing_conflict_says_who_when_and_how_close() -> None:
     assert conflict.speeds_mps == pytest.approx((10, 10))
 
 
+def test_a_late_crossing_is_found_where_the_pet_threshold_is_the_longer_one() -> None:
+    a = straight(1, (0, -20), np.pi / 2, 10, seconds=3.0)
+    b = straight(2, (-13, 0), 0.0, 10, begin_s=6.4, seconds=3.0)
+    config = SafetyConfig(ttc_s=3.0, pet_s=6.0)
+    (conflict,) = find_conflicts([a, b], config)
+    assert 3.0 < (conflict.pet_s or 0.0) < 6.0
+
+
 def test_a_crash_course_has_a_small_ttc_with_its_interval() -> None:
     a = from_speed(1, (0, -40), np.pi / 2, np.r_[np.full(16, 10.0), np.linspace(10, 0, 9), np.zeros(10)])
     b = straight(2, (-40, 0), 0.0, 10, seconds=5.5)
