@@ -13,6 +13,7 @@ from rich.markup import escape
 from rich.table import Table
 
 from wibam_core.formats.tracks import read_tracks
+from wibam_core.report.advice import test_part
 from wibam_core.report.inputs import ConflictRow, Conflicts, DetectorFigures, MeanSd, Metrics, Significance
 from wibam_core.scene import Track
 
@@ -86,9 +87,9 @@ def before_after_table(metrics: Metrics) -> Table:
 
 def published_table(metrics: Metrics) -> Table | None:
     """The same detectors measured with the quirks of the published evaluation; None without labels."""
-    detectors = {name: metrics.paper_compat[name] for name, _ in _METHODS if name in (metrics.paper_compat or {})}
-    if metrics.paper_compat is None or not detectors:
+    if metrics.paper_compat is None:
         return None
+    detectors = {name: metrics.paper_compat[name] for name, _ in _METHODS if name in metrics.paper_compat}
     table = _figures_table("As the published evaluation would count (paper_compat)", detectors, _COLUMNS[:-1], {})
     table.caption = "only boxes that overlap in the image, misses not counted, headings off by 150° and more left out"
     table.add_row("matched", *(_count(figures.matched) for figures in detectors.values()))
@@ -162,7 +163,8 @@ def _consistency_table(metrics: Metrics) -> Table:
     table = Table(
         title="Before and after, on held-out time",
         title_justify="left",
-        caption="No labels: agreement between views, which says nothing about an error that all views share.",
+        caption=f"No labels in the test part ({test_part(metrics)}): agreement between views, which says nothing about "
+        "an error that all views share.",
     )
     for title in ("", "IoU in the other views", "IoU in its own view", "found"):
         table.add_column(title, justify="left" if not title else "right")

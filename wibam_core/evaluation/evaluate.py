@@ -76,9 +76,7 @@ def evaluate(
         config: which labels count and how near a match is; ``paper_compat`` uses its own published rules.
         mode: see `match_on_ground` and `match_in_image`.
     """
-    labelled = (
-        (found, instant) for found in predictions if (instant := labels.at(found.time_ns)) is not None
-    )
+    labelled = ((found, instant) for found in predictions if (instant := labels.at(found.time_ns)) is not None)
     frames = [
         _compare_frame(number, found, instant, rig[str(found.camera_id)], config, mode)
         for number, (found, instant) in enumerate(labelled)

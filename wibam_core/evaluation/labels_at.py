@@ -6,7 +6,7 @@ is 0.6 m, more than the error that is to be measured.
 
 from __future__ import annotations
 
-from bisect import bisect_left
+from bisect import bisect_left, bisect_right
 from collections.abc import Sequence
 
 import numpy as np
@@ -32,6 +32,17 @@ class LabelTimeline:
     def __init__(self, labels: Sequence[LabelledInstant]) -> None:
         self._labels = sorted(labels, key=lambda label: label.vehicles.time_ns)
         self._times = [label.vehicles.time_ns for label in self._labels]
+
+    def __len__(self) -> int:
+        return len(self._labels)
+
+    def between(self, first_ns: int, last_ns: int) -> int:
+        """How many labelled instants lie in the closed interval."""
+        return bisect_right(self._times, last_ns) - bisect_left(self._times, first_ns)
+
+    def distance_ns(self, time_ns: int) -> int:
+        """To the nearest labelled instant; there must be one."""
+        return min(abs(labelled - time_ns) for labelled in self._times)
 
     def at(self, time_ns: int) -> LabelledInstant | None:
         """Labels at ``time_ns``, or None where nothing was labelled.

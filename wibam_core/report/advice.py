@@ -65,16 +65,25 @@ def _reservations(before: DetectorFigures, after: DetectorFigures, significance:
 
 def _without_labels(metrics: Metrics) -> list[str]:
     before, after = (metrics.self_consistency.get(name) for name in ("baseline", "finetuned"))
-    sentences = ["There are no labels for the test part, so nothing here says how right the boxes are."]
+    given, test = metrics.labelled_instants.given, test_part(metrics)
+    missing = f"None of the {given} labelled instants lies in" if given else "There are no labels for"
+    sentences = [f"{missing} the test part ({test}), so nothing here says how right the boxes are."]
     if before is not None and after is not None and None not in (before.other_views.mean, after.other_views.mean):
         sentences.append(
             "Boxes predicted in one view, drawn into the other views, overlap what was detected there by an IoU of "
             f"{_two(before.other_views.mean)} before and {_two(after.other_views.mean)} after fine-tuning."
         )
     sentences.append(
-        "That shows whether the views agree, not whether they are right: label some instants of the test part to know."
+        "That shows whether the views agree, not whether they are right: label some instants of the test part to know. "
+        "Labels evaluate and never train; the test part is the end of the recordings."
     )
     return sentences
+
+
+def test_part(metrics: Metrics) -> str:
+    """When the test part is, in words."""
+    found = metrics.labelled_instants
+    return f"{found.test_from_s:.1f} to {found.test_to_s:.1f} s on the reference camera's clock"
 
 
 def _moved(before: float | None, after: float | None) -> str:

@@ -70,11 +70,21 @@ class Consistency(_File):
     found: float | None
 
 
+class LabelledInstants(_File):
+    """How many instants were labelled by hand, how many of them lie in the test part, and when that is."""
+
+    given: int
+    in_test_part: int
+    test_from_s: float
+    test_to_s: float
+
+
 class Metrics(_File):
     """``metrics.json``. Without labels there is self-consistency alone."""
 
     options: dict[str, float]
     labels: str
+    labelled_instants: LabelledInstants
     instants: int
     frames: int
     baseline: DetectorFigures | None = None

@@ -11,6 +11,7 @@ from typing import Any
 from wibam_core.config import EvaluateConfig
 from wibam_core.errors import TooFewInstants
 from wibam_core.evaluation.evaluate import Evaluation, evaluate
+from wibam_core.evaluation.instants import evaluated_instants
 from wibam_core.evaluation.labels_at import LabelTimeline
 from wibam_core.evaluation.self_consistency import self_consistency
 from wibam_core.evaluation.significance import significance
@@ -28,7 +29,8 @@ from wibam_core.progress import Progress, part
 from wibam_core.scene import CameraRig, FrameSet, Vehicles3D
 from wibam_core.stages.base import StageContext, Summary
 
-#: Detections down to this score are kept in the files; the evaluators apply their own thresholds.
+#: Detections down to this score are kept in the files, or to a lower one that is asked for; the evaluators apply their
+#: own thresholds.
 _KEPT_SCORE = 0.1
 
 
@@ -44,8 +46,8 @@ class _Method:
 def run(context: StageContext, config: EvaluateConfig) -> Summary:
     """Write ``metrics.json``, ``predictions_baseline.parquet`` and ``predictions_finetuned.parquet``.
 
-    All frames of the test part are used. Their times in the files are the instants; the evaluators compare each frame
-    at its own time of exposure.
+    All frames of the test part are used, and of labelled instants between those. Their times in the files are the
+    instants; the evaluators compare each frame at its own time of exposure.
 
     Raises:
         TooFewInstants: the test part holds no instant with a frame.
@@ -53,7 +55,8 @@ def run(context: StageContext, config: EvaluateConfig) -> Summary:
     """
     rig = read_rig(context.upstream["calibrate"] / "rig.json")
     store = FrameStore(context.upstream["frames"])
-    instants = _test_instants(context, store)
+    labels = LabelTimeline(read_labels(context.assets["labels"])) if "labels" in context.assets else None
+    instants = _test_instants(context, store, labels)
     finetune = context.upstream["finetune"]
     methods = (
         _Method("baseline", bundled("mono_small.safetensors"), "plane"),
@@ -63,10 +66,11 @@ def run(context: StageContext, config: EvaluateConfig) -> Summary:
     predictions: dict[str, list[Vehicles3D]] = {}
     for number, method in enumerate(methods):
         progress = part(context.progress, number / len(methods), (number + 1) / len(methods))
-        predictions[method.name] = _detect(method, store, instants, rig, progress)
+        min_score = min(_KEPT_SCORE, config.min_score)
+        predictions[method.name] = _detect(method, store, instants, rig, min_score, progress)
     for name in ("baseline", "finetuned"):
         write_vehicles3d(context.output / f"predictions_{name}.parquet", predictions[name])
-    metrics = _metrics(context, config, rig, instants, predictions)
+    metrics = _metrics(context, config, rig, instants, predictions, labels)
     (context.output / "metrics.json").write_text(json.dumps(metrics, indent=1, allow_nan=False), encoding="utf-8")
     return {
         "labels": metrics["labels"],
@@ -82,22 +86,26 @@ def trained_decode(finetune: Path) -> Decode:
     return "depth" if curves.get("decode") == "depth" else "plane"
 
 
-def _test_instants(context: StageContext, store: FrameStore) -> list[FrameSet]:
+def _test_instants(context: StageContext, store: FrameStore, labels: LabelTimeline | None) -> list[FrameSet]:
     split = json.loads((context.upstream["dataset"] / "split.json").read_text(encoding="utf-8"))
-    times = set(split["test"])
-    instants = [instant for instant in store.frame_sets if instant.time_ns in times]
+    instants = evaluated_instants(store.frame_sets, split["test"], labels)
     if not instants:
         raise TooFewInstants("the test part of the split holds no instant with a frame")
     return instants
 
 
 def _detect(
-    method: _Method, store: FrameStore, instants: Sequence[FrameSet], rig: CameraRig, progress: Progress
+    method: _Method,
+    store: FrameStore,
+    instants: Sequence[FrameSet],
+    rig: CameraRig,
+    min_score: float,
+    progress: Progress,
 ) -> list[Vehicles3D]:
     network = load_network(method.weights)
     total = sum(len(rig.keys() & instant.frame_times_ns.keys()) for instant in instants)
     found = []
-    for vehicles in predict(network, stored_frames(store, instants, rig), decode=method.decode, min_score=_KEPT_SCORE):
+    for vehicles in predict(network, stored_frames(store, instants, rig), decode=method.decode, min_score=min_score):
         found.append(vehicles)
         progress(len(found) / total, f"Detecting: {method.name.replace('_', ', ')}")
     return found
@@ -109,6 +117,7 @@ def _metrics(
     rig: CameraRig,
     instants: Sequence[FrameSet],
     predictions: dict[str, list[Vehicles3D]],
+    labels: LabelTimeline | None,
 ) -> dict[str, Any]:
     times = {instant.time_ns for instant in instants}
     annotations = [
@@ -122,7 +131,7 @@ def _metrics(
     labelled: dict[str, Any] = dict.fromkeys(
         (*predictions, "paper_compat", "significance", "by_visibility", "by_distance")
     )
-    evaluations = _evaluations(context, config, rig, instants, predictions)
+    evaluations = _evaluations(config, rig, instants, predictions, labels)
     if evaluations is not None:
         correct, published = evaluations
         labelled = {
@@ -135,6 +144,7 @@ def _metrics(
     return {
         "options": config.model_dump(),
         "labels": "none" if evaluations is None else "hand",
+        "labelled_instants": _labelled_instants(labels, instants),
         "instants": len(instants),
         "frames": len(next(iter(predictions.values()))),
         **labelled,
@@ -143,16 +153,15 @@ def _metrics(
 
 
 def _evaluations(
-    context: StageContext,
     config: EvaluateConfig,
     rig: CameraRig,
     instants: Sequence[FrameSet],
     predictions: dict[str, list[Vehicles3D]],
+    labels: LabelTimeline | None,
 ) -> tuple[dict[str, Evaluation], dict[str, Evaluation]] | None:
     """Correct and as published, by method; None where no frame of the test part is labelled."""
-    if "labels" not in context.assets:
+    if labels is None:
         return None
-    labels = LabelTimeline(read_labels(context.assets["labels"]))
     exposed = {(instant.time_ns, id_): time for instant in instants for id_, time in instant.frame_times_ns.items()}
     correct, published = {}, {}
     for name, found in predictions.items():
@@ -160,6 +169,17 @@ def _evaluations(
         correct[name] = evaluate(at_exposure, labels, rig, config)
         published[name] = evaluate(at_exposure, labels, rig, config, "paper_compat")
     return (correct, published) if next(iter(correct.values())).frames else None
+
+
+def _labelled_instants(labels: LabelTimeline | None, instants: Sequence[FrameSet]) -> dict[str, float]:
+    """How many instants the user labelled, how many lie in the test part (the others are not used), when that is."""
+    first_ns, last_ns = instants[0].time_ns, instants[-1].time_ns
+    return {
+        "given": 0 if labels is None else len(labels),
+        "in_test_part": 0 if labels is None else labels.between(first_ns, last_ns),
+        "test_from_s": first_ns * 1e-9,
+        "test_to_s": last_ns * 1e-9,
+    }
 
 
 def _above(found: Sequence[Vehicles3D], min_score: float) -> list[Vehicles3D]:

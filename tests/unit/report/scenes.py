@@ -178,6 +178,7 @@ def metrics_json(*, labels: bool = True) -> dict[str, Any]:
         return {
             "options": OPTIONS,
             "labels": "none",
+            "labelled_instants": {"given": 0, "in_test_part": 0, "test_from_s": 51.2, "test_to_s": 58.8},
             "instants": 60,
             "frames": 240,
             **empty,
@@ -186,6 +187,7 @@ def metrics_json(*, labels: bool = True) -> dict[str, Any]:
     return {
         "options": OPTIONS,
         "labels": "hand",
+        "labelled_instants": {"given": 60, "in_test_part": 60, "test_from_s": 51.2, "test_to_s": 58.8},
         "instants": 60,
         "frames": 240,
         **methods,

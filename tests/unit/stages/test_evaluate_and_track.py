@@ -136,6 +136,25 @@ def test_labels_of_another_part_of_the_recording_count_as_none(context: StageCon
     write_labels(tmp_path / "early.json", early)
     context.assets["labels"] = tmp_path / "early.json"  # type: ignore[index]
     assert evaluate.run(context, EvaluateConfig())["labels"] == "none"
+    metrics = json.loads((context.output / "metrics.json").read_text())
+    assert (metrics["labelled_instants"]["given"], metrics["labelled_instants"]["in_test_part"]) == (1, 0)
+    assert metrics["labelled_instants"]["test_from_s"] == pytest.approx(TEST[0] * 1e-9)
+
+
+def test_labels_between_the_instants_of_the_split_are_used(context: StageContext, tmp_path: Path) -> None:
+    """Somebody labelled once in 0.64 s, always two frames after the split's instants, which are 0.4 s apart."""
+    split = INSTANTS[10::5]
+    (context.upstream["dataset"] / "split.json").write_text(json.dumps({"train": [], "val": [], "test": split}))
+    times = INSTANTS[12::8]
+    sparse = [LabelledInstant(Vehicles3D.of(t, truth(t)), {id_: np.ones(2) for id_ in RIG}) for t in times]
+    write_labels(tmp_path / "sparse.json", sparse)
+    context.assets["labels"] = tmp_path / "sparse.json"  # type: ignore[index]
+    assert evaluate.run(context, EvaluateConfig())["labels"] == "hand"
+    metrics = json.loads((context.output / "metrics.json").read_text())
+    assert (metrics["labelled_instants"]["given"], metrics["labelled_instants"]["in_test_part"]) == (2, 2)
+    assert metrics["finetuned"]["matched"] == 2 * 2 * len(RIG)
+    kept = read_vehicles3d(context.output / "predictions_finetuned.parquet")
+    assert {v.time_ns for v in kept} == {*split, *times}
 
 
 def test_an_empty_test_part_is_too_few_instants(context: StageContext) -> None:
