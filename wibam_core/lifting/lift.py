@@ -4,14 +4,16 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 import torch
 
+from wibam_core.association.rays import rig_centre
 from wibam_core.config import LiftConfig
-from wibam_core.geometry.se3 import normalise_angle
+from wibam_core.geometry.camera import Camera
+from wibam_core.geometry.se3 import SE3, normalise_angle
 from wibam_core.geometry.torch_ops import CameraTensors
 from wibam_core.lifting.confidence import confidence
 from wibam_core.lifting.fit import YAW, Fit, FitProblem, fit, joined, with_noise, yaw_starts
@@ -88,8 +90,11 @@ def lift(
         return LiftResult(
             [Vehicles3D.of(i.time_ns, np.empty((0, 7))) for i in instants], _statistics(seen, None, None, 1.0, 0.0)
         )
+    # fits are float32, and a world's origin may be far away, as in UTM: they count from the middle of the cameras
+    origin = rig_centre(rig)
+    seen = replace(seen, positions=seen.positions - origin)
     tracks = Tracks.group(seen.tracks, seen.times_ns)
-    cameras = CameraTensors.from_cameras(list(rig.values()))
+    cameras = CameraTensors.from_cameras([_moved(camera, -origin) for camera in rig.values()])
 
     progress(0.0, "motion of the clusters of rays")
     views = seen.seen.sum(axis=1)
@@ -136,13 +141,18 @@ def lift(
     sd[:, YAW] = np.where(never, np.hypot(sd[:, YAW], standing.front_sd_rad), sd[:, YAW])
     residual = _residuals(second, seen)
     boxes = _boxes(parameters)
-    boxes[:, :2] = tracks.scatter(motion.position, boxes[:, :2].copy())
+    boxes[:, :2] = tracks.scatter(motion.position, boxes[:, :2].copy()) + origin
     scores = confidence(residual, views, sd, boxes, config.max_residual)
     certain = np.hypot(sd[:, 0], sd[:, 1]) <= _FEW_VIEWS_SD_M
     keep = (residual <= config.max_residual) & ((views >= config.min_views) | certain)
     vehicles = _by_instant(instants, seen, keep, boxes, _box_sd(sd, boxes), scores)
     progress(1.0, "lifted")
     return LiftResult(vehicles, _statistics(seen, residual, keep, noise, lasting))
+
+
+def _moved(camera: Camera, shift_m: FloatArray) -> Camera:
+    pose = camera.T_world_cam
+    return replace(camera, T_world_cam=SE3(pose.rotation, pose.translation + np.append(shift_m, 0.0)))
 
 
 def _worth_fitting(seen: Observations, min_views: int) -> Observations:

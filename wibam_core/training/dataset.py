@@ -61,18 +61,20 @@ def site_views(
         frames: tells which frames exist.
         lifts: fits in the world; ``ids`` are track ids, ``scores`` confidences.
         rig: cameras, of the recording's pixels.
-        left_out_tracks: vehicles that teach the heat and their 2D boxes alone.
+        left_out_tracks: vehicles of another subset: they teach nothing, and finding them is not punished.
     """
     prepared = {camera_id: prepare_camera(camera) for camera_id, camera in rig.items()}
     fits = _Fits(lifts)
     views: list[SiteView] = []
     for instant in sorted(instants, key=lambda one: one.time_ns):
-        vehicles = [v for v in instant.vehicles if v.track_id not in left_out_tracks]
-        boxes = {
-            camera_id: _resize(seen.boxes, rig[camera_id], prepared[camera_id])
-            for camera_id, seen in instant.detections.items()
-            if camera_id in rig
-        }
+        instant, set_aside = _set_aside(instant, left_out_tracks)
+        boxes, ignored = (
+            {
+                camera_id: _resize(found[camera_id], rig[camera_id], prepared[camera_id])
+                for camera_id in rig.keys() & found.keys()
+            }
+            for found in ({camera_id: seen.boxes for camera_id, seen in instant.detections.items()}, set_aside)
+        )
         for camera_id in rig:
             if camera_id in boxes and frames.has(camera_id, instant.time_ns):
                 seen = instant.detections[camera_id]
@@ -81,12 +83,30 @@ def site_views(
                     camera=prepared[camera_id],
                     boxes2d=boxes[camera_id],
                     classes=seen.classes,
-                    **_labels3d(seen, vehicles, fits, instant.time_ns),
-                    ignored=np.zeros((0, 4)),
+                    **_labels3d(seen, instant.vehicles, fits, instant.time_ns),
+                    ignored=ignored[camera_id],
                 )
-                others = _others(camera_id, vehicles, boxes, tuple(rig))
+                others = _others(camera_id, instant.vehicles, boxes, tuple(rig))
                 views.append(SiteView(camera_id, instant.time_ns, labels, *others))
     return views
+
+
+def _set_aside(instant: AnnotatedInstant, tracks: frozenset[int]) -> tuple[AnnotatedInstant, dict[str, FloatArray]]:
+    """The instant without the vehicles of these tracks, and the boxes (N, 4) taken out by camera."""
+    out = {camera_id: np.zeros(len(seen), bool) for camera_id, seen in instant.detections.items()}
+    for vehicle in instant.vehicles:
+        if vehicle.track_id in tracks:
+            for camera_id, row in vehicle.views.items():
+                out[camera_id][row] = True
+    row_of = {camera_id: np.cumsum(~gone) - 1 for camera_id, gone in out.items()}
+    vehicles = tuple(
+        replace(vehicle, views={camera_id: int(row_of[camera_id][row]) for camera_id, row in vehicle.views.items()})
+        for vehicle in instant.vehicles
+        if vehicle.track_id not in tracks
+    )
+    detections = {camera_id: seen.where(~out[camera_id]) for camera_id, seen in instant.detections.items()}
+    boxes = {camera_id: seen.boxes[out[camera_id]] for camera_id, seen in instant.detections.items()}
+    return AnnotatedInstant(instant.time_ns, detections, vehicles), boxes
 
 
 def _resize(boxes: FloatArray, camera: Camera, prepared: Camera) -> FloatArray:

@@ -11,8 +11,9 @@ from tests.multiview import crossing
 from wibam_core.association.associate import associate
 from wibam_core.config import AssociateConfig, LiftConfig
 from wibam_core.geometry.iou import bev_iou_paired
+from wibam_core.geometry.se3 import SE3
 from wibam_core.lifting.lift import LiftResult, lift
-from wibam_core.scene import AnnotatedInstant, Vehicles3D
+from wibam_core.scene import AnnotatedInstant, CameraRig, Vehicles3D
 
 
 @lru_cache(maxsize=2)
@@ -62,6 +63,24 @@ def test_lifts_are_near_the_truth(
     assert yaw_error(box, truth).mean() < aoe_deg
     ratio = np.median(box[:, 3:6] / truth[:, 3:6], axis=0)
     assert np.abs(ratio - 1).max() < 0.07
+
+
+def test_the_worlds_origin_may_be_far_away() -> None:
+    """UTM coordinates are millions of metres, of which a float32 keeps half a metre."""
+    shift = np.array([500_000.0, 5_400_000.0])
+    rig = CameraRig(
+        {
+            name: replace(c, T_world_cam=SE3(c.T_world_cam.rotation, c.T_world_cam.translation + [*shift, 0.0]))
+            for name, c in crossing().rig.items()
+        }
+    )
+    there = [
+        replace(i, vehicles=tuple(replace(v, x_m=v.x_m + shift[0], y_m=v.y_m + shift[1]) for v in i.vehicles))
+        for i in annotated(False)
+    ]
+    for here, far in zip(lifted(False).vehicles, lift(there, rig, LiftConfig()).vehicles, strict=True):
+        assert far.ids.tolist() == here.ids.tolist()
+        np.testing.assert_allclose(far.boxes[:, :2] - shift, here.boxes[:, :2], atol=0.01)
 
 
 def test_most_vehicles_are_lifted() -> None:

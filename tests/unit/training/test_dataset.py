@@ -44,12 +44,16 @@ def test_other_views_are_those_of_the_same_vehicle(site: TinySite) -> None:
         np.testing.assert_allclose(box, (native + 0.5) * 0.8 - 0.5)
 
 
-def test_vehicles_that_are_left_out_or_not_fitted_keep_their_2d_boxes(site: TinySite) -> None:
-    without = [vehicles.where(np.array([False, True])) for vehicles in site.lifts]
-    view = site_views(site.instants, site.frames, without, site.rig, frozenset({8}))[0]
-    assert len(view.labels.boxes2d) == 2
+def test_vehicles_of_another_subset_are_ignored_and_those_not_fitted_keep_their_2d_boxes(site: TinySite) -> None:
+    without = [vehicles.where(np.array([True, False])) for vehicles in site.lifts]
+    whole = site_views(site.instants, site.frames, site.lifts, site.rig)[0]
+    view = site_views(site.instants, site.frames, without, site.rig, frozenset({7}))[0]
+    np.testing.assert_allclose(view.labels.ignored, whole.labels.boxes2d[:1])
+    np.testing.assert_allclose(view.labels.boxes2d, whole.labels.boxes2d[1:])
+    assert view.labels.classes.tolist() == [1]
     assert np.isnan(view.labels.boxes3d).all()
-    assert set(view.other_vehicle.tolist()) == {0}
+    assert view.other_vehicle.tolist() == [0, 0]
+    np.testing.assert_allclose(view.other_boxes, whole.other_boxes[whole.other_vehicle == 1])
 
 
 def test_one_instant_alone_has_no_velocity(site: TinySite) -> None:
