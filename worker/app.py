@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 import os
 from functools import cache
 from typing import Any
@@ -17,8 +18,11 @@ from wibam_core.adapters.lease_store import LeaseStore
 from wibam_core.adapters.queue import RUN_STAGE, JobQueue, make_celery
 from wibam_core.adapters.settings import ServiceSettings
 from worker.notice import Notice
+from worker.process import stages_can_be_offline
 from worker.runner import StageRunner
 
+_log = logging.getLogger(__name__)
+confine.keep_secrets()  # the settings are in this process's environment, and stages belong to the same user
 _settings = ServiceSettings.from_environment(os.environ)
 _stopping = Notice()
 app = make_celery(_settings.broker_url)
@@ -52,9 +56,16 @@ def _migrate(**_: Any) -> None:
     database.close()
 
 
+@worker_init.connect
+def _say_what_stages_can_reach(**_: Any) -> None:
+    if not stages_can_be_offline():
+        _log.warning("this system lets no process leave its network: stages run with the network that the worker has")
+
+
 @worker_process_init.connect
-def _die_with_the_worker(**_: Any) -> None:
+def _stay_in_the_family(**_: Any) -> None:
     confine.die_with_parent(os.getppid())
+    confine.adopt_orphans()
 
 
 @worker_shutting_down.connect

@@ -119,7 +119,7 @@ class StageProcess:
         """
         shim = [sys.executable, "-I", "-S", confine.__file__, "--parent", str(os.getpid()), "--nice", str(nice)]
         process = subprocess.Popen(
-            [*shim, "--offline", "--expendable", "--", *program],
+            [*shim, "--offline", "--expendable", "--limited", "--", *program],
             stdin=subprocess.DEVNULL,
             stdout=subprocess.PIPE,
             stderr=subprocess.PIPE,
@@ -164,6 +164,9 @@ class StageProcess:
         """End whatever still runs, and let go of the pipes."""
         self._signal(signal.SIGKILL)
         self.process.wait()
+        with contextlib.suppress(ChildProcessError):
+            while True:  # the stage's own children, where we adopted them
+                os.waitpid(-self.process.pid, 0)
         self._selector.close()
         self._stdout.close()
         self._stderr.close()
@@ -191,6 +194,11 @@ class StageProcess:
     def _stderr(self) -> IO[bytes]:
         assert self.process.stderr is not None
         return self.process.stderr
+
+
+def stages_can_be_offline() -> bool:
+    """Whether this system lets a stage leave its network."""
+    return subprocess.run([sys.executable, "-I", "-S", confine.__file__, "--check-offline"]).returncode == 0
 
 
 def session_memory_bytes(session_id: int) -> int:

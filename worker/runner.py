@@ -2,16 +2,14 @@
 
 from __future__ import annotations
 
-import errno
 import logging
 import os
 import socket
-import tempfile
 import time
 from collections.abc import Callable, Iterable
 from pathlib import Path
 
-from sqlalchemy.exc import OperationalError
+from sqlalchemy.exc import DBAPIError, OperationalError, SQLAlchemyError
 
 from wibam_core.adapters.files import DataFolder
 from wibam_core.adapters.job_rows import StageKey
@@ -21,20 +19,14 @@ from wibam_core.adapters.logs import JobLog
 from wibam_core.adapters.records import plain_json
 from wibam_core.adapters.settings import StageLimits
 from wibam_core.config import PipelineConfig
-from wibam_core.errors import (
-    DiskFull,
-    StageCrashed,
-    StageError,
-    StageOutOfMemory,
-    StageTimedOut,
-    WibamError,
-)
+from wibam_core.errors import StageError, StageOutOfMemory, StageTimedOut, WibamError
 from wibam_core.jobs.leases import Claim, LeasePolicy
 from wibam_core.jobs.records import Job, StageRun
 from wibam_core.stages.base import Summary
 from wibam_core.stages.execute import StageRequest
 from wibam_core.stages.graph import STAGES
 from wibam_core.stages.store import Attempt, StageStore
+from worker.failures import crash, is_full, no_space, system_error
 from worker.keeper import LeaseKeeper
 from worker.process import Done, Failed, LogLine, Progress, StageProcess, system_oom_kills
 
@@ -95,7 +87,14 @@ class StageRunner:
             _log.warning("%s", lost)
             return False
         self._dispatch(ready)
+        self._tidy()
         return True
+
+    def _tidy(self) -> None:
+        try:
+            self._jobs.drop_unnamed(self._store.addresses(), self._store.remove)
+        except (SQLAlchemyError, OSError) as error:  # the next one tries again
+            _log.warning("outputs that nobody needs are left: %s", error)
 
     def _work(self, claim: Claim) -> list[StageKey]:
         job = self._jobs.job(claim.job_id)
@@ -114,17 +113,32 @@ class StageRunner:
                 log.write(stage.name, "given back: the worker was asked to end")
                 return self._leases.release(claim)
             except WibamError as error:
-                log.write(stage.name, f"failed: {error.message}")
-                return self._leases.fail(claim, error)
+                return self._fail(claim, error, keeper, log)
             except OSError as error:
-                log.write(stage.name, f"failed: {error}")
-                return self._leases.fail(claim, _os_error(stage.name, error))
+                return self._fail(claim, system_error(stage.name, error), keeper, log)
+            except DBAPIError as error:
+                if not is_full(error):
+                    raise
+                return self._fail(claim, no_space(stage.name), keeper, log)
+
+    def _fail(self, claim: Claim, error: WibamError, keeper: LeaseKeeper, log: JobLog) -> list[StageKey]:
+        """Tell the job. Where the database is full, too, try for as long as the lease can be kept."""
+        log.write(claim.stage, f"failed: {error.message}")
+        while True:
+            try:
+                return self._leases.fail(claim, error)
+            except DBAPIError as full:
+                if not is_full(full):
+                    raise
+                if keeper.lost:
+                    raise LostLease(f"the database has no space to say that {claim} failed") from full
+            time.sleep(_POLL_S)
 
     def _make_or_find(
         self, claim: Claim, job: Job, stage: StageRun, keeper: LeaseKeeper, log: JobLog
     ) -> list[StageKey]:
-        if stage.forced and claim.attempt == 1:
-            self._store.remove(stage.name, stage.hash)
+        if self._leases.make_way(claim, self._store.remove):
+            log.write(stage.name, "is made anew: its old outputs are removed")
         if self._store.find(stage.name, stage.hash) is not None:
             log.write(stage.name, f"reused: {stage.hash[:12]} is there already")
             summary = self._store.manifest(stage.name, stage.hash)["summary"]
@@ -148,7 +162,7 @@ class StageRunner:
     def _execute(
         self, claim: Claim, job: Job, stage: StageRun, attempt: Attempt, keeper: LeaseKeeper, log: JobLog
     ) -> Summary:
-        with tempfile.TemporaryDirectory(prefix="wibam-stage-") as home:
+        with self._store.temporary(attempt) as home:
             request = Path(home) / "request.json"
             request.write_text(self._request(job, stage, attempt).model_dump_json())
             oom_kills = system_oom_kills()
@@ -161,7 +175,7 @@ class StageRunner:
                 return dict(outcome.summary)
             if isinstance(outcome, Failed):
                 raise WibamError.from_dict(outcome.error)
-            raise _crash(stage.name, process, system_oom_kills() > oom_kills)
+            raise crash(stage.name, process, system_killed=system_oom_kills() > oom_kills)
 
     def _listen(self, claim: Claim, process: StageProcess, keeper: LeaseKeeper, log: JobLog) -> Done | Failed | None:
         outcome: Done | Failed | None = None
@@ -239,18 +253,3 @@ class StageRunner:
             output=attempt.output,
             scratch=attempt.scratch,
         )
-
-
-def _crash(stage: str, process: StageProcess, system_killed: bool) -> StageError:
-    code = process.process.returncode
-    tail = list(process.tail)
-    if code == -9 and system_killed:
-        return StageOutOfMemory(f"the system killed the stage {stage} for lack of memory", log_tail=tail)
-    how = f"was killed by signal {-code}" if code < 0 else f"ended with exit code {code}, without a result"
-    return StageCrashed(f"the stage {stage} {how}", exit_code=code, log_tail=tail)
-
-
-def _os_error(stage: str, error: OSError) -> StageError:
-    if error.errno in (errno.ENOSPC, errno.EDQUOT):
-        return DiskFull(f"no space left for the stage {stage}")
-    return StageCrashed(f"the stage {stage} could not be run: {error}")

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Collection, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -144,10 +144,12 @@ class JobStore:
             stages = {stage.name: stage for stage in stage_rows(session, job_id)}
             anew = _made_anew(plan, from_stage)
             _check_not_in_use(session, job_id, [planned.hash for planned in plan if planned.name in anew])
+            unsettled = _unsettled_hashes(session)
             fresh: list[StageRow] = []
             for position, planned in enumerate(plan):
                 old = stages.pop(planned.name, None)
-                if old is not None and _still_good(old, planned) and planned.name not in anew:
+                again = planned.name in anew or planned.hash in unsettled
+                if old is not None and _still_good(old, planned) and not again:
                     continue
                 fence = 0
                 if old is not None:
@@ -191,6 +193,24 @@ class JobStore:
             for name, digest in addresses:
                 if session.scalar(select(StageRow.name).where(StageRow.hash == digest).limit(1)) is None:
                     remove_outputs(name, digest)
+
+    def drop_unnamed(self, addresses: Iterable[tuple[str, str]], remove_outputs: Callable[[str, str], None]) -> None:
+        """Remove the outputs that no job refers to, left by a restart with other options or a death at a bad moment.
+
+        Args:
+            addresses: what there is: names of stages with (the first part of) their hashes, all of one length.
+            remove_outputs: called with a stage's name and hash while no job can be created.
+        """
+        found = set(addresses)
+        if not found:
+            return
+        with self._database.reading() as session:
+            unnamed = _unnamed(session, found)
+        if not unnamed:
+            return
+        with self._database.writing(exclusive=True) as session:
+            for name, digest in sorted(_unnamed(session, unnamed)):
+                remove_outputs(name, digest)
 
     def events(self, job_id: str, after: int = 0, limit: int = 500) -> tuple[list[Event], bool]:
         """Events with sequence numbers above ``after``, and whether no more will come (unless the job is restarted).
@@ -243,6 +263,13 @@ def _still_good(stage: StageRow, planned: StagePlan) -> bool:
     return StageState(stage.state).has_outputs and stage.hash == planned.hash
 
 
+def _unsettled_hashes(session: Session) -> set[str]:
+    """The addresses that a job at work has yet to find or make outputs for: those that are there may still go."""
+    at_work = select(JobRow.id).where(JobRow.state.not_in(_TERMINAL))
+    without = [state.value for state in StageState if not state.has_outputs]
+    return set(session.scalars(select(StageRow.hash).where(StageRow.job_id.in_(at_work), StageRow.state.in_(without))))
+
+
 def _made_anew(plan: Sequence[StagePlan], from_stage: str | None) -> Collection[str]:
     if from_stage is None:
         return ()
@@ -259,6 +286,12 @@ def _check_not_in_use(session: Session, job_id: str, hashes: Sequence[str]) -> N
     )
     if user is not None:
         raise Conflict(f"job {user} is working with the same stages", hint="Wait until it has ended.", job=user)
+
+
+def _unnamed(session: Session, addresses: Collection[tuple[str, str]]) -> set[tuple[str, str]]:
+    length = len(next(iter(addresses))[1])
+    named = {digest[:length] for digest in session.scalars(select(StageRow.hash).distinct())}
+    return {(name, digest) for name, digest in addresses if digest not in named}
 
 
 def _check_files_exist(session: Session, files: Sequence[StoredFile]) -> None:

@@ -82,6 +82,33 @@ class LeaseStore:
             return None
         return Claim(key.job_id, key.stage, owner, taken.fence, taken.attempts)
 
+    def make_way(self, claim: Claim, remove: Callable[[str, str], None]) -> bool:
+        """Before the work: if a restarted job wants this stage made anew, remove its old outputs, once.
+
+        Which job's turn it is does not matter: outputs belong to a hash, so whoever comes first makes them for all.
+
+        Args:
+            claim: of the stage.
+            remove: called with its name and hash, and only while the lease is held.
+
+        Returns:
+            Whether anything was removed.
+
+        Raises:
+            LostLease: the stage is no longer this worker's; nothing was removed.
+        """
+        with self._database.writing() as session:
+            _, stage = _held_rows(session, claim)
+            wanted_jobs = select(JobRow.id).where(JobRow.state.in_(_WANTED))
+            forced = session.scalars(
+                select(StageRow).where(StageRow.hash == stage.hash, StageRow.forced, StageRow.job_id.in_(wanted_jobs))
+            ).all()
+            if forced:
+                remove(stage.name, stage.hash)
+            for row in forced:
+                row.forced = False
+            return bool(forced)
+
     def heartbeat(self, claim: Claim) -> Heartbeat:
         """Renew the lease."""
         renew = update(StageRow).where(*_held(claim)).values(lease_expires_at=self._now() + self._policy.duration_s)
@@ -203,7 +230,7 @@ class LeaseStore:
                 return self._end(session, job, stage, state, reason="its worker was lost")
             error = StageCrashed(
                 f"the stage {stage.name} lost its worker {stage.attempts} times",
-                hint="It may need more memory than the machine has; look at the job's log, then restart the job.",
+                hint="It may need more memory or disk than there is; look at the job's log, then restart the job.",
                 attempts=stage.attempts,
             )
             stage.error = error.to_dict()

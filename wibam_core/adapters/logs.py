@@ -3,16 +3,21 @@
 from __future__ import annotations
 
 import contextlib
+import logging
 import time
 from pathlib import Path
 from types import TracebackType
 from typing import BinaryIO, Self
 
 _LONGEST_LINE = 4000
+_log = logging.getLogger(__name__)
 
 
 class JobLog:
-    """Appends lines to a job's log. A context manager. Past ``max_bytes`` it says so once and drops the rest."""
+    """Appends lines to a job's log. A context manager. Past ``max_bytes`` it says so once and drops the rest.
+
+    A log that cannot be opened is none: the work goes on without.
+    """
 
     def __init__(self, path: Path, max_bytes: int = 20_000_000) -> None:
         self._path = path
@@ -21,7 +26,10 @@ class JobLog:
         self._full = False
 
     def __enter__(self) -> Self:
-        self._file = self._path.open("ab", buffering=0)
+        try:
+            self._file = self._path.open("ab", buffering=0)
+        except OSError as error:
+            _log.warning("there is no log: %s", error)
         return self
 
     def __exit__(

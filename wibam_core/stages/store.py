@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+import contextlib
 import hashlib
 import json
 import os
+import re
+import secrets
 import shutil
 import tempfile
 from collections.abc import Callable, Collection
@@ -15,6 +18,7 @@ from typing import Any
 from wibam_core.stages.base import Summary
 
 MANIFEST = "manifest.json"
+_ADDRESS = re.compile(r"(\w+)-([0-9a-f]{32})")
 
 
 @dataclass(frozen=True)
@@ -53,12 +57,20 @@ class StageStore:
         self._partial.mkdir(parents=True, exist_ok=True)
         scratch = self._scratch / f"{stage}-{digest[:32]}"
         scratch.mkdir(parents=True, exist_ok=True)
-        output = Path(tempfile.mkdtemp(prefix=f"{stage}-{digest[:8]}-", dir=self._partial))
+        output = Path(tempfile.mkdtemp(prefix=_prefix(stage, digest), dir=self._partial))
         output.chmod(0o755)
         return Attempt(stage, digest, output, scratch)
 
+    def temporary(self, attempt: Attempt) -> tempfile.TemporaryDirectory[str]:
+        """A folder for whatever an attempt needs only while it runs. Where it was killed, `sweep` removes it."""
+        prefix = _prefix(attempt.stage, attempt.digest)
+        return tempfile.TemporaryDirectory(prefix=prefix, dir=self._partial, ignore_cleanup_errors=True)
+
     def seal(self, attempt: Attempt, summary: Summary, seconds: float) -> None:
-        """Write the manifest of a finished attempt, with the digests of its files. Takes as long as reading them."""
+        """Write the manifest of a finished attempt, with the digests of its files. Takes as long as reading them.
+
+        Once it returns, the output would survive a power cut.
+        """
         files = {
             path.relative_to(attempt.output).as_posix(): {"bytes": path.stat().st_size, "sha256": sha256_of(path)}
             for path in sorted(attempt.output.rglob("*"))
@@ -73,8 +85,9 @@ class StageStore:
         }
         with (attempt.output / MANIFEST).open("w") as file:
             json.dump(manifest, file, indent=1, allow_nan=False)
-            file.flush()
-            os.fsync(file.fileno())
+        for path in (*attempt.output.rglob("*"), attempt.output):
+            if path.is_file() or path.is_dir():
+                _sync(path)
 
     def reveal(self, attempt: Attempt) -> Path:
         """Make a sealed attempt's output visible at its address, by one rename. Of two that raced, the first stays."""
@@ -83,7 +96,9 @@ class StageStore:
             attempt.output.rename(folder)
         except OSError:
             if self.find(attempt.stage, attempt.digest) is None:
-                raise
+                self._drop(folder)  # without a manifest it is nobody's output
+                attempt.output.rename(folder)
+        _sync(self.root)
         return folder
 
     def publish(self, attempt: Attempt, summary: Summary, seconds: float) -> Path:
@@ -116,15 +131,38 @@ class StageStore:
                 shutil.rmtree(folder, ignore_errors=True)
 
     def remove(self, stage: str, digest: str) -> None:
-        """Forget a stage, so that it runs again, and from its beginning."""
-        shutil.rmtree(self._scratch / f"{stage}-{digest[:32]}", ignore_errors=True)
-        folder = self.find(stage, digest)
-        if folder is not None:
-            (folder / MANIFEST).unlink()
-            shutil.rmtree(folder)
+        """Forget a stage, so that it runs again, and from its beginning. The first half of the hash will do."""
+        self._drop(self._scratch / f"{stage}-{digest[:32]}")
+        self._drop(self._folder(stage, digest))
+
+    def addresses(self) -> set[tuple[str, str]]:
+        """Stage and first half of the hash of everything that is published, or has scratch."""
+        folders = [path for root in (self.root, self._scratch) if root.is_dir() for path in root.iterdir()]
+        return {(found[1], found[2]) for path in folders if (found := _ADDRESS.fullmatch(path.name))}
+
+    def _drop(self, folder: Path) -> None:
+        """Remove a folder: at once for everybody, also if this process is killed before the last file is gone."""
+        self._partial.mkdir(parents=True, exist_ok=True)
+        aside = self._partial / f"removed-{secrets.token_hex(8)}"
+        with contextlib.suppress(FileNotFoundError):
+            folder.rename(aside)
+            shutil.rmtree(aside, ignore_errors=True)  # `sweep` tries again
 
 
 def sha256_of(path: Path) -> str:
     """SHA-256 (hex) of a file, read in pieces."""
     with path.open("rb") as file:
         return hashlib.file_digest(file, "sha256").hexdigest()
+
+
+def _prefix(stage: str, digest: str) -> str:
+    return f"{stage}-{digest[:8]}-"
+
+
+def _sync(path: Path) -> None:
+    """Return once a file, or which names a folder has, would survive a power cut."""
+    descriptor = os.open(path, os.O_RDONLY)
+    try:
+        os.fsync(descriptor)
+    finally:
+        os.close(descriptor)

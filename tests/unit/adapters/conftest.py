@@ -26,6 +26,8 @@ def postgres_database() -> Iterator[Database]:
             connection.execute(sqlalchemy.text(f"CREATE DATABASE {name}"))
     except sqlalchemy.exc.OperationalError:
         pytest.skip("no PostgreSQL answers at WIBAM_TEST_POSTGRES_URL")
+    except sqlalchemy.exc.ProgrammingError as error:
+        pytest.skip(f"the role of WIBAM_TEST_POSTGRES_URL may make no database: {error.orig}")
     url = sqlalchemy.make_url(_POSTGRES).set(database=name).render_as_string(hide_password=False)
     database = Database(url)
     database.migrate()

@@ -114,6 +114,11 @@ class TestLogs:
         assert path.stat().st_size < 1000
         assert "not kept" in path.read_text()
 
+    def test_one_that_cannot_be_opened_stops_no_work(self, tmp_path: Path) -> None:
+        with JobLog(tmp_path) as log:
+            log.write("sync", "lost")
+        assert list(tmp_path.iterdir()) == []
+
     def test_absent_ones_are_empty(self, tmp_path: Path) -> None:
         assert read_log(tmp_path / "none", 0) == ("", 0)
 

@@ -79,6 +79,19 @@ def test_the_worker_reaches_nothing_outside() -> None:
     assert all(COMPOSE["networks"][name]["internal"] for name in networks)
 
 
+def test_the_queue_asks_for_the_password_that_its_users_send() -> None:
+    redis = COMPOSE["services"]["redis"]
+    password = redis["command"][redis["command"].index("--requirepass") + 1]
+    assert variables(password) == {"REDIS_PASSWORD"}
+    assert redis["environment"]["REDISCLI_AUTH"] == password, "the health check has to send it"
+    for name in OURS:
+        assert COMPOSE["services"][name]["environment"]["WIBAM_BROKER_URL"] == f"redis://:{password}@redis:6379/0"
+
+
+def test_no_other_process_of_the_worker_shows_its_environment_to_stages() -> None:
+    assert COMPOSE["services"]["worker"]["init"] is False
+
+
 def test_the_dockerfile_copies_what_exists_and_runs_as_nobody_special() -> None:
     dockerfile = (ROOT / "deploy" / "Dockerfile").read_text()
     for sources in re.findall(r"^COPY (.+) \S+$", dockerfile, re.MULTILINE):

@@ -3,7 +3,11 @@
 from __future__ import annotations
 
 import json
+import os
+import shutil
 from pathlib import Path
+
+import pytest
 
 from wibam_core.stages.store import StageStore
 
@@ -53,3 +57,79 @@ def test_a_removed_stage_runs_again(tmp_path: Path) -> None:
     assert store.find("sync", DIGEST) is None
     store.publish(store.begin("sync", DIGEST), {"n": 2}, 0.0)
     assert json.loads((store.find("sync", DIGEST) / "manifest.json").read_text())["summary"] == {"n": 2}  # type: ignore[operator]
+
+
+class Killed(BaseException):
+    """Stands for SIGKILL: nothing handles it."""
+
+
+def test_a_stage_whose_removal_was_killed_runs_again(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def kill(path: Path, **_: object) -> None:
+        if path.exists():
+            raise Killed
+
+    store = StageStore(tmp_path)
+    attempt = store.begin("sync", DIGEST)
+    (attempt.output / "clocks.json").write_text("{}")
+    store.publish(attempt, {}, 0.0)
+    with monkeypatch.context() as patched:
+        patched.setattr(shutil, "rmtree", kill)
+        with pytest.raises(Killed):
+            store.remove("sync", DIGEST)
+    assert store.find("sync", DIGEST) is None
+    store.publish(store.begin("sync", DIGEST), {"n": 2}, 0.0)
+    assert store.manifest("sync", DIGEST)["summary"] == {"n": 2}
+    store.sweep(set)
+    assert list((tmp_path / ".partial").iterdir()) == []
+
+
+def test_a_folder_without_a_manifest_is_in_nobodys_way(tmp_path: Path) -> None:
+    store = StageStore(tmp_path)
+    folder = store.publish(store.begin("sync", DIGEST), {}, 0.0)
+    (folder / "manifest.json").unlink()
+    (folder / "rest").touch()
+    assert store.publish(store.begin("sync", DIGEST), {"n": 2}, 0.0) == folder
+    assert store.manifest("sync", DIGEST)["summary"] == {"n": 2}
+    assert not (folder / "rest").exists()
+
+
+def test_everything_is_on_disk_before_it_is_published(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    store = StageStore(tmp_path)
+    attempt = store.begin("frames", DIGEST)
+    (attempt.output / "more").mkdir()
+    (attempt.output / "more" / "cam1.jpegs").write_bytes(b"x" * 100)
+    synced: set[int] = set()
+    sync = os.fsync
+
+    def note(descriptor: int) -> None:
+        sync(descriptor)
+        synced.add(os.fstat(descriptor).st_ino)
+
+    monkeypatch.setattr(os, "fsync", note)
+    store.seal(attempt, {}, 0.0)
+    names = {".", "more", "more/cam1.jpegs", "manifest.json"}
+    assert {(attempt.output / name).stat().st_ino for name in names} <= synced
+    store.reveal(attempt)
+    assert tmp_path.stat().st_ino in synced
+
+
+def test_what_a_killed_attempt_used_is_swept_away(tmp_path: Path) -> None:
+    store = StageStore(tmp_path)
+    killed = store.begin("sync", DIGEST)
+    with store.temporary(killed) as folder:
+        store.sweep(lambda: {DIGEST})
+        assert Path(folder).is_dir()
+        store.sweep(set)
+        assert not Path(folder).exists()
+
+
+def test_addresses_are_those_of_outputs_and_scratch(tmp_path: Path) -> None:
+    store = StageStore(tmp_path)
+    assert store.addresses() == set()
+    store.publish(store.begin("sync", DIGEST), {}, 0.0)
+    store.begin("finetune", DIGEST)
+    (tmp_path / "my-notes").mkdir()
+    assert store.addresses() == {("sync", DIGEST[:32]), ("finetune", DIGEST[:32])}
+    for address in store.addresses():
+        store.remove(*address)
+    assert store.addresses() == set()

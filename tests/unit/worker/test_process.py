@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import socket
 import subprocess
 import sys
 import time
@@ -11,14 +12,14 @@ from pathlib import Path
 import pytest
 
 from wibam_core.adapters import confine
-from worker.process import Done, Failed, LogLine, Message, Progress, StageProcess
+from worker.process import Done, Failed, LogLine, Message, Progress, StageProcess, stages_can_be_offline
 
 
 def start(tmp_path: Path, code: str) -> StageProcess:
     return StageProcess.confined([sys.executable, "-c", code], home=tmp_path, cache=tmp_path, nice=3)
 
 
-def listen(process: StageProcess, seconds: float = 20.0) -> list[Message]:
+def listen(process: StageProcess, seconds: float = 120.0) -> list[Message]:
     messages: list[Message] = []
     deadline = time.monotonic() + seconds
     while time.monotonic() < deadline:
@@ -37,7 +38,7 @@ def alive(pid: int) -> bool:
     return state != "Z"
 
 
-def wait_until(condition: object, seconds: float = 10.0) -> bool:
+def wait_until(condition: object, seconds: float = 60.0) -> bool:
     deadline = time.monotonic() + seconds
     while time.monotonic() < deadline:
         if condition():  # type: ignore[operator]
@@ -99,15 +100,43 @@ class TestConfinement:
         assert line.text.endswith(f"{tmp_path} False")
 
     def test_a_stage_has_no_network_where_the_system_lets_us(self, tmp_path: Path) -> None:
-        allowed = subprocess.run(
-            [sys.executable, "-c", "from wibam_core.adapters.confine import go_offline; exit(not go_offline())"]
-        )
-        if allowed.returncode:
+        if not stages_can_be_offline():
             pytest.skip("this system lets no process leave its network")
-        process = start(tmp_path, "import socket; print(socket.if_nameindex())")
-        [line] = listen(process)
-        process.close()
-        assert line == LogLine("[(1, 'lo')]")
+        with socket.create_server(("127.0.0.1", 0)) as server:
+            address = server.getsockname()
+            socket.create_connection(address, 60.0).close()
+            code = f"""
+import socket
+try:
+    socket.create_connection({address!r}, 60.0)
+    print("reached")
+except OSError:
+    print("cut off")
+"""
+            process = start(tmp_path, code)
+            [line] = listen(process)
+            process.close()
+        assert line == LogLine("cut off")
+
+    @pytest.mark.parametrize("refused", ["setgroups", "uid_map", "gid_map"])
+    def test_a_stage_goes_on_as_it_was_where_user_namespaces_stay_empty(self, tmp_path: Path, refused: str) -> None:
+        """As on machines where AppArmor restricts unprivileged user namespaces."""
+        own = tmp_path / "own"
+        own.touch(0o600)
+        code = f"""
+import os
+from wibam_core.adapters import confine
+unshare, write = confine._unshare, confine._write
+def refuse(path, text):
+    if path.endswith({refused!r}):
+        raise PermissionError(1, "not permitted", path)
+    write(path, text)
+confine._unshare = lambda flags: flags != confine._CLONE_NEWNET and unshare(flags)
+confine._write = refuse
+print(confine.go_offline(), os.getuid(), open({str(own)!r}, "r+").read())
+"""
+        result = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
+        assert result.stdout.split() == ["False", str(os.getuid())], result.stderr
 
     def test_a_stage_still_writes_its_own_files(self, tmp_path: Path) -> None:
         process = start(tmp_path, "open('made', 'w').write('x'); import os; print(os.getuid(), os.stat('made').st_uid)")
@@ -116,20 +145,89 @@ class TestConfinement:
         assert line == LogLine(f"{os.getuid()} {os.getuid()}")
 
     def test_a_stage_is_polite_and_expendable(self, tmp_path: Path) -> None:
-        before = os.nice(0)
+        nice, expendable = os.nice(0), int(Path("/proc/self/oom_score_adj").read_text())
         process = start(tmp_path, "import os; print(os.nice(0), open('/proc/self/oom_score_adj').read().strip())")
         [line] = listen(process)
         process.close()
-        assert line == LogLine(f"{min(before + 3, 19)} 700")
+        assert line == LogLine(f"{min(nice + 3, 19)} {max(expendable, 700)}")
+
+    def test_what_is_more_expendable_already_stays_so(self) -> None:
+        shim = [sys.executable, confine.__file__, "--parent", str(os.getpid()), "--expendable", "--"]
+        program = [*shim, sys.executable, "-c", "print(open('/proc/self/oom_score_adj').read())"]
+        code = f"import os; open('/proc/self/oom_score_adj', 'w').write('900'); os.execv({program[0]!r}, {program!r})"
+        assert subprocess.check_output([sys.executable, "-c", code], text=True).strip() == "900"
+
+    def test_a_stage_dumps_no_core_and_writes_no_endless_file(self, tmp_path: Path) -> None:
+        code = "import resource as r; print(r.getrlimit(r.RLIMIT_CORE), max(r.getrlimit(r.RLIMIT_FSIZE)) > 10**11)"
+        process = start(tmp_path, code + "; print(r.RLIM_INFINITY in r.getrlimit(r.RLIMIT_FSIZE))")
+        lines = listen(process)
+        process.close()
+        assert lines == [LogLine("(0, 0) True"), LogLine("False")]
+
+
+class TestSecrets:
+    """What the worker knows from its environment."""
+
+    #: Root may read everything, so it becomes nobody first, and as readable as any program at its start.
+    NO_PRIVILEGES = """
+import ctypes, os, sys, time
+if os.getuid() == 0:
+    os.setgroups([]), os.setgid(65534), os.setuid(65534)
+    ctypes.CDLL(None).prctl(4, 1, 0, 0, 0)
+"""
+
+    @pytest.mark.parametrize("kept", [False, True])
+    def test_are_not_to_be_read_by_others_of_the_same_user(self, kept: bool) -> None:
+        code = f"""
+from wibam_core.adapters import confine
+{self.NO_PRIVILEGES}
+if {kept}:
+    confine.keep_secrets()
+print("ready", flush=True)
+time.sleep(600)
+"""
+        reader = f"""
+{self.NO_PRIVILEGES}
+try:
+    print(open(f"/proc/{{sys.argv[1]}}/environ").read())
+except PermissionError:
+    print("refused")
+"""
+        secret = {**os.environ, "PASSWORD": "abc"}
+        with subprocess.Popen([sys.executable, "-c", code], env=secret, stdout=subprocess.PIPE) as holder:
+            assert holder.stdout is not None
+            assert holder.stdout.readline() == b"ready\n"
+            read = subprocess.check_output([sys.executable, "-c", reader, str(holder.pid)], text=True)
+            holder.kill()
+        assert ("PASSWORD=abc" in read, read.strip() == "refused") == (not kept, kept)
+
+    def test_the_worker_keeps_them_and_says_when_stages_have_the_network(self, tmp_path: Path) -> None:
+        settings = {"WIBAM_DATA_DIR": str(tmp_path), "WIBAM_BROKER_URL": "redis://r", "WIBAM_TOKEN_SHA256": "0" * 64}
+        code = """
+import ctypes, os
+from worker import app, process
+dumpable = lambda: ctypes.CDLL(None).prctl(3, 0, 0, 0, 0)
+print(dumpable(), process.stages_can_be_offline(), flush=True)
+if os.fork() == 0:
+    print(dumpable(), flush=True)
+    os._exit(0)
+os.wait()
+app.stages_can_be_offline = lambda: False
+app._say_what_stages_can_reach()
+"""
+        command = [sys.executable, "-c", code]
+        result = subprocess.run(command, env={**os.environ, **settings}, capture_output=True, text=True)
+        assert result.stdout.split() == ["0", str(stages_can_be_offline()), "0"], result.stderr
+        assert "stages run with the network" in result.stderr
 
 
 class TestKilling:
     CHILD = (
-        "import subprocess, sys, time; p = subprocess.Popen([sys.executable, '-c', 'import time; time.sleep(60)'])\n"
+        "import subprocess, sys, time; p = subprocess.Popen([sys.executable, '-c', 'import time; time.sleep(600)'])\n"
     )
 
     def test_kill_takes_the_whole_group(self, tmp_path: Path) -> None:
-        process = start(tmp_path, self.CHILD + "print(p.pid, flush=True); time.sleep(60)")
+        process = start(tmp_path, self.CHILD + "print(p.pid, flush=True); time.sleep(600)")
         while not (messages := process.poll(5.0)):
             pass
         [line] = messages
@@ -143,7 +241,7 @@ class TestKilling:
 
     def test_a_stage_that_ignores_sigterm_is_killed_all_the_same(self, tmp_path: Path) -> None:
         process = start(
-            tmp_path, "import signal, time; signal.signal(15, signal.SIG_IGN); print('x', flush=True); time.sleep(60)"
+            tmp_path, "import signal, time; signal.signal(15, signal.SIG_IGN); print('x', flush=True); time.sleep(600)"
         )
         while not process.poll(5.0):
             pass
@@ -158,26 +256,44 @@ class TestKilling:
         process.close()
         assert wait_until(lambda: not alive(int(line.text)))
 
+    def test_adopted_orphans_are_reaped(self, tmp_path: Path) -> None:
+        code = f"""
+from pathlib import Path
+from wibam_core.adapters import confine
+from worker.process import StageProcess
+confine.adopt_orphans()
+home = Path({str(tmp_path)!r})
+process = StageProcess.confined([{sys.executable!r}, "-c", {self.CHILD + "print(p.pid, flush=True)"!r}],
+                                home=home, cache=home, nice=0)
+while not (messages := process.poll(5.0)):
+    pass
+process.close()
+print(Path("/proc", messages[0].text).exists())
+"""
+        assert subprocess.check_output([sys.executable, "-c", code], text=True) == "False\n"
+
     def test_a_stage_dies_with_a_killed_worker(self, tmp_path: Path) -> None:
         worker = f"""
 import sys, time
 from pathlib import Path
 from worker.process import StageProcess
 home = Path({str(tmp_path)!r})
-process = StageProcess.confined([sys.executable, "-c", "import time; time.sleep(60)"], home=home, cache=home, nice=0)
-print(process.process.pid, flush=True)
-time.sleep(60)
+stage = "import os, time; print(os.getpid(), flush=True); time.sleep(600)"
+process = StageProcess.confined([sys.executable, "-c", stage], home=home, cache=home, nice=0)
+while not (messages := process.poll(5.0)):
+    pass
+print(messages[0].text, flush=True)
+time.sleep(600)
 """
         with subprocess.Popen([sys.executable, "-c", worker], stdout=subprocess.PIPE, text=True) as parent:
             assert parent.stdout is not None
             stage = int(parent.stdout.readline())
-            assert wait_until(lambda: b"sleep" in Path(f"/proc/{stage}/cmdline").read_bytes())
-            time.sleep(0.3)
+            assert alive(stage)
             parent.kill()
         assert wait_until(lambda: not alive(stage))
 
     def test_memory_counts_children(self, tmp_path: Path) -> None:
-        hog = "x = bytearray(80_000_000); print(1, flush=True); import time; time.sleep(60)"
+        hog = "x = bytearray(80_000_000); print(1, flush=True); import time; time.sleep(600)"
         process = start(tmp_path, f"import subprocess, sys; subprocess.run([sys.executable, '-c', {hog!r}])")
         while not process.poll(5.0):
             pass
