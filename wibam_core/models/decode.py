@@ -5,7 +5,7 @@ Maps have a pixel frame of their own: cell (x, y) is centred on input pixel ``(x
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Literal
 
 import torch
@@ -92,17 +92,21 @@ def boxes3d(values: PeakValues, cameras: CameraTensors, mean_sizes_m: Tensor, de
     ``depth``: the centre lies on that ray at the regressed depth.
     """
     seen_by = cameras[values.image]
-    directions = rays(seen_by, centres3d_px(values))
     sizes = sizes_m(values, mean_sizes_m)
-    if decode == "plane":
-        ground = _on_plane(seen_by, directions, sizes[:, 2] / 2)
-        position = torch.cat([ground, sizes[:, 2:] / 2], dim=-1)
-    else:
-        along_axis = (directions * seen_by.rotation[:, 2]).sum(dim=-1)
-        depth = values.depth.clamp(-2.0, 7.0).exp() * focal_px(seen_by) / REFERENCE_FOCAL_PX
-        position = seen_by.centre_m + directions * (depth / along_axis)[:, None]
-    yaw = azimuths_rad(directions) + torch.atan2(values.yaw[:, 0], values.yaw[:, 1])
+    position = _positions(seen_by, values, sizes[:, 2], decode)
+    azimuth = azimuths_rad(rays(seen_by, centres3d_px(values)))
+    yaw = azimuth + torch.atan2(values.yaw[:, 0], values.yaw[:, 1])
     return torch.cat([position, sizes, wrap_angle(yaw)[:, None]], dim=-1)
+
+
+def _positions(seen_by: CameraTensors, values: PeakValues, height_m: Tensor, decode: Decode) -> Tensor:
+    """(N, 3) centres of vehicles of the given heights (N,)."""
+    directions = rays(seen_by, centres3d_px(values))
+    if decode == "plane":
+        return torch.cat([_on_plane(seen_by, directions, height_m / 2), height_m[:, None] / 2], dim=-1)
+    along_axis = (directions * seen_by.rotation[:, 2]).sum(dim=-1)
+    depth = values.depth.clamp(-2.0, 7.0).exp() * focal_px(seen_by) / REFERENCE_FOCAL_PX
+    return seen_by.centre_m + directions * (depth / along_axis)[:, None]
 
 
 def centres3d_px(values: PeakValues) -> Tensor:
@@ -132,23 +136,34 @@ def wrap_angle(angle_rad: Tensor) -> Tensor:
     return angle_rad - 2 * torch.pi * torch.ceil((angle_rad - torch.pi) / (2 * torch.pi)).detach()
 
 
-def standard_deviations(values: PeakValues, boxes: Tensor, cameras: CameraTensors) -> Tensor:
+def standard_deviations(values: PeakValues, boxes: Tensor, cameras: CameraTensors, decode: Decode) -> Tensor:
     """(N, 7) standard deviations of boxes (N, 7) in m and rad, from the regressed scales.
 
-    The centre's follows from one standard deviation of the projected 3D centre, moved over the ground; a regressed
-    scale is a Laplace distribution's, whose standard deviation is √2 of it.
+    The centre's follows from one standard deviation of the projected 3D centre, moved over the ground, or of that and
+    of the depth under depth decoding; a regressed scale is a Laplace distribution's, whose standard deviation is √2 of
+    it.
     """
     scale = values.log_scale.clamp(-6.0, 3.0).exp() * 2**0.5
     size_sd = boxes[:, 3:6] * scale[:, 2:3]
     seen_by = cameras[values.image]
-    pixels = centres3d_px(values)
-    variance = torch.zeros_like(pixels)
-    for axis in range(2):
-        step = torch.zeros_like(pixels)
-        step[:, axis] = scale[:, 0] * STRIDE / 2
-        low, high = (_on_plane(seen_by, rays(seen_by, pixels + sign * step), boxes[:, 2]) for sign in (-1.0, 1.0))
-        variance = variance + (high - low).square()
-    return torch.cat([variance.sqrt(), size_sd[:, 2:] / 2, size_sd, scale[:, 3:4].clamp(max=torch.pi)], dim=-1)
+    height_m = boxes[:, 5]
+
+    def spread(name: str, step: Tensor) -> Tensor:
+        value: Tensor = getattr(values, name)
+        low, high = (
+            _positions(seen_by, replace(values, **{name: value + sign * step / 2}), height_m, decode)
+            for sign in (-1.0, 1.0)
+        )
+        return (high - low).square()
+
+    steps = scale[:, :1] * torch.eye(2, dtype=scale.dtype)[:, None]
+    variance = spread("centre3d", steps[0]) + spread("centre3d", steps[1])
+    if decode == "depth":
+        variance = variance + spread("depth", scale[:, 1])
+        z_sd = variance[:, 2:].sqrt()
+    else:
+        z_sd = size_sd[:, 2:] / 2
+    return torch.cat([variance[:, :2].sqrt(), z_sd, size_sd, scale[:, 3:4].clamp(max=torch.pi)], dim=-1)
 
 
 @dataclass(frozen=True)

@@ -1,5 +1,7 @@
 """Decoders away from the exact targets: gradients, horizons, uncertainty. `test_targets.py` holds the round trip."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 import torch
@@ -83,7 +85,7 @@ def test_boxes_are_finite_and_plausible_whatever_the_network_says() -> None:
         boxes = boxes3d(wild, cameras(), SIZES, decode)
         assert torch.isfinite(boxes).all()
         assert (boxes[:, 3:6] > 0).all()
-        assert torch.isfinite(standard_deviations(wild, boxes, cameras())).all()
+        assert torch.isfinite(standard_deviations(wild, boxes, cameras(), decode)).all()
 
 
 def test_the_positions_uncertainty_is_that_of_the_centre_moved_over_the_ground() -> None:
@@ -92,7 +94,7 @@ def test_the_positions_uncertainty_is_that_of_the_centre_moved_over_the_ground()
     fields = {name: getattr(found, name) for name in found.__dataclass_fields__} | {"log_scale": log_scale}
     found = PeakValues(**fields)
     boxes = boxes3d(found, cameras(), SIZES, "plane")
-    sd = standard_deviations(found, boxes, cameras())[0]
+    sd = standard_deviations(found, boxes, cameras(), "plane")[0]
     scale = float(np.exp(-3.0) * np.sqrt(2))
     rng = np.random.default_rng(0)
     moved = []
@@ -102,6 +104,18 @@ def test_the_positions_uncertainty_is_that_of_the_centre_moved_over_the_ground()
     np.testing.assert_allclose(sd[:2].numpy(), np.std(moved, axis=0), rtol=0.1)
     np.testing.assert_allclose(sd[3:6].numpy(), boxes[0, 3:6].numpy() * scale, rtol=1e-6)
     assert float(sd[6]) == pytest.approx(scale)
+
+
+def test_under_depth_decoding_the_depths_uncertainty_lies_along_the_ray() -> None:
+    found = values(n=1, seed=3)
+    quiet = torch.tensor([[-9.0, -2.0, -3.0, -3.0]], dtype=torch.float64)
+    found = replace(found, log_scale=quiet)
+    boxes = boxes3d(found, cameras(), SIZES, "depth")
+    sd = standard_deviations(found, boxes, cameras(), "depth")[0]
+    offset = boxes[0, :3] - cameras()[found.image].centre_m[0]
+    share = float(np.exp(-2.0) * np.sqrt(2))
+    np.testing.assert_allclose(sd[:3].numpy(), offset.abs().numpy() * share, rtol=0.02)
+    assert float(standard_deviations(found, boxes, cameras(), "plane")[0, :2].max()) < 0.2 * float(sd[:2].max())
 
 
 def test_convention_cells_are_centred_in_their_four_pixels() -> None:
