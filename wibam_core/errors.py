@@ -203,3 +203,13 @@ class ChecksumMismatch(WibamError):
 class ServiceUnavailable(WibamError):
     code = "service_unavailable"
     default_hint = "Is the service running? Start it with `wibam serve`."
+
+
+class MissingSumo(InputError):
+    code = "missing_sumo"
+    default_hint = "Install it with: pip install 'wibam[sumo]'"
+
+
+class SumoFailed(StageError):
+    code = "sumo_failed"
+    default_hint = "Use traffic 'own', or another seed; the details have SUMO's last words."

@@ -26,6 +26,9 @@ def simulate(
     width: Annotated[int, typer.Option(help="Image width in px.")] = _DEFAULTS.width_px,
     height: Annotated[int, typer.Option(help="Image height in px.")] = _DEFAULTS.height_px,
     regime: Annotated[str, typer.Option(help="'site': poles at the corners; 'ego': street level.")] = _DEFAULTS.regime,
+    traffic: Annotated[
+        str, typer.Option(help="'own': our own car-following; 'sumo': SUMO's, with the extra wibam[sumo].")
+    ] = _DEFAULTS.traffic,
     density: Annotated[
         float, typer.Option(help="Traffic; 1 is about 6 vehicles a minute and lane.")
     ] = _DEFAULTS.traffic_density,
@@ -51,6 +54,7 @@ def simulate(
         "width_px": width,
         "height_px": height,
         "regime": regime,
+        "traffic": traffic,
         "traffic_density": density,
         "parked": parked,
         "distortion": distortion,

@@ -17,6 +17,7 @@ class SimulationOptions(BaseModel):
         fps: frames per second.
         width_px, height_px: image size.
         regime: "site": poles of 6–10 m at the corners; "ego": street level, 1.5–2.8 m, at the same places.
+        traffic: "own": our own car-following; "sumo": SUMO's, which needs the extra ``wibam[sumo]``.
         traffic_density: 1 is about 6 vehicles a minute and incoming lane.
         parked: vehicles that stand beside the road all the time.
         distortion: give every lens a mild barrel distortion.
@@ -37,6 +38,7 @@ class SimulationOptions(BaseModel):
     width_px: int = Field(640, ge=64, le=3840, multiple_of=2)
     height_px: int = Field(360, ge=64, le=2160, multiple_of=2)
     regime: Literal["site", "ego"] = "site"
+    traffic: Literal["own", "sumo"] = "own"
     traffic_density: float = Field(1.0, ge=0, le=4)
     parked: int = Field(2, ge=0, le=20)
     distortion: bool = False

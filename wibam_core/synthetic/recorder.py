@@ -39,6 +39,7 @@ from wibam_core.synthetic.options import SimulationOptions
 from wibam_core.synthetic.parallel import run_jobs
 from wibam_core.synthetic.render import Renderer
 from wibam_core.synthetic.signals import SignalProgram
+from wibam_core.synthetic.sumo import simulate_sumo_traffic
 from wibam_core.synthetic.traffic import Traffic, simulate_traffic
 from wibam_core.video.encode import VideoWriter
 from wibam_core.video.sampling import Span, common_instants
@@ -115,7 +116,8 @@ def plan_recordings(options: SimulationOptions, recordings: Path) -> list[Camera
     rng = np.random.default_rng([options.seed, 51])
     program = SignalProgram(cycle_s=options.cycle_s, offset_s=float(rng.uniform(0, options.cycle_s)))
     duration_s = options.seconds + options.max_offset_s + 2.0
-    traffic = simulate_traffic(
+    simulate = simulate_sumo_traffic if options.traffic == "sumo" else simulate_traffic
+    traffic = simulate(
         layout, options.seed, duration_s, program, density=options.traffic_density, parked=options.parked
     )
     cameras = site_cameras(

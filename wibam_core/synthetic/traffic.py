@@ -31,9 +31,12 @@ from wibam_core.synthetic.vehicles import VehicleModel, sample_vehicle
 
 Array = NDArray[np.float64]
 
-_WARM_UP_S = 45.0
+#: The roads fill for so long before the recording begins.
+WARM_UP_S = 45.0
+#: Of each incoming lane at density 1, and which share of them goes where.
+ARRIVALS_PER_S = 0.09
+SHARES = {"straight": 0.52, "right": 0.20, "left": 0.28}
 _RANKS = {"straight": 2, "right": 1, "left": 0}
-_SHARES = {"straight": 0.52, "right": 0.20, "left": 0.28}
 
 
 @dataclass(frozen=True, eq=False)
@@ -142,7 +145,7 @@ class _Simulation:
         self._phases_inside: set[str] = set()
 
     def run(self, duration_s: float) -> list[Trajectory]:
-        first, last = -round(_WARM_UP_S / STEP_S), round(duration_s / STEP_S) + 1
+        first, last = -round(WARM_UP_S / STEP_S), round(duration_s / STEP_S) + 1
         finished: list[Driver] = []
         for step in range(first, last + 1):
             self._arrive(step)
@@ -169,7 +172,7 @@ class _Simulation:
 
     # --- arrivals ---------------------------------------------------------------------------
     def _arrive(self, step: int) -> None:
-        chance = self._density * 0.09 * STEP_S
+        chance = self._density * ARRIVALS_PER_S * STEP_S
         for lane, routes in self._lanes.items():
             queue = self._waiting[lane]
             if self._rng.random() < chance and len(queue) < 4:
@@ -188,7 +191,7 @@ class _Simulation:
     def _new_driver(self, routes: Sequence[int]) -> Driver:
         rng = self._rng
         model = sample_vehicle(rng)
-        shares = np.array([_SHARES[self._routes[r].movement] for r in routes])
+        shares = np.array([SHARES[self._routes[r].movement] for r in routes])
         if model.vehicle_class in (VehicleClass.BUS, VehicleClass.TRUCK):  # long vehicles avoid tight turns
             wide = {"straight": 1.0, "left": 0.1, "right": 1e-6}
             shares = shares * np.array([wide[self._routes[r].movement] for r in routes])
