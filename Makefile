@@ -1,5 +1,8 @@
-# `make` alone lists the targets. A fresh clone needs Python >= 3.11 with venv, and nothing else.
-PYTHON ?= python3
+# `make` alone lists the targets. A fresh clone needs Python >= 3.11 with venv, and nothing else. From Python 3.13 on
+# it needs redis-server too, because none is bundled: without one, an older Python is taken where there is one.
+PYTHON ?= $(shell command -v redis-server >/dev/null || command -v valkey-server >/dev/null \
+	|| ! python3 -c 'import sys; sys.exit(sys.version_info < (3, 13))' 2>/dev/null && echo python3 \
+	|| command -v python3.12 || command -v python3.11 || echo python3)
 VENV := .venv
 BIN := $(VENV)/bin
 READY := $(VENV)/.ready

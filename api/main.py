@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 import os
 from collections.abc import AsyncIterator
 from contextlib import asynccontextmanager
@@ -18,14 +19,18 @@ from api.problems import Problem, add_handlers
 from api.routes import jobs, results, sites, system, uploads
 from api.security import Gate
 from api.services import Services
+from api.tus import TusHeaders
 from wibam_core import __version__
+from wibam_core.adapters.ownership import claim_folder
 from wibam_core.adapters.settings import ServiceSettings
+from wibam_core.errors import Conflict
 
+_log = logging.getLogger(__name__)
 _DESCRIPTION = """
 Fine-tune a monocular 3D vehicle detector for an intersection, from recordings of a few ordinary cameras and their
 calibration, without hand labels; get 7DoF tracks and the conflicts between road users.
 
-1. `POST /v1/sites`: describe the cameras.
+1. `POST /v1/sites`: describe the cameras. `PUT /v1/sites/{id}` corrects the description; recordings stay.
 2. `POST /v1/uploads` (tus 1.0): send a recording for each camera.
 3. `POST /v1/sites/{id}/jobs`: start. `GET /v1/jobs/{id}/events` tells how it goes.
 4. `GET /v1/jobs/{id}/metrics`, `/model`, `/tracks`, `/conflicts`, `/report`: the results.
@@ -36,12 +41,15 @@ stable `code`, a sentence and a `hint`.
 
 
 def create_app(settings: ServiceSettings) -> FastAPI:
-    """The application for these settings. On start it brings the database up to date."""
+    """The application for these settings. On start it brings the database up to date.
+
+    It does not start on a data folder that belongs to another database.
+    """
     services = Services.connect(settings)
 
     @asynccontextmanager
     async def lifespan(app: FastAPI) -> AsyncIterator[None]:
-        await run_in_threadpool(services.database.migrate)
+        await run_in_threadpool(_prepare, services)
         housekeeper = Housekeeper(services)
         housekeeper.start()
         yield
@@ -74,7 +82,17 @@ def create_app(settings: ServiceSettings) -> FastAPI:
     app.add_api_route("/docs", lambda: HTMLResponse(DOCS_PAGE), include_in_schema=False)
     app.openapi = lambda: _openapi(app)  # type: ignore[method-assign]
     app.add_middleware(Gate, token_sha256=settings.token_sha256)
+    app.add_middleware(TusHeaders)
     return app
+
+
+def _prepare(services: Services) -> None:
+    services.database.migrate()
+    try:
+        claim_folder(services.database, services.folder)
+    except Conflict as error:
+        _log.error("%s. %s", error.message, error.hint)
+        raise
 
 
 def create() -> FastAPI:

@@ -24,6 +24,7 @@ _log = logging.getLogger(__name__)
 STATUS: Mapping[str, int] = {
     "unauthorised": 401,
     "not_found": 404,
+    "upload_stalled": 408,
     "conflict": 409,
     "upload_expired": 410,
     "tus_version": 412,

@@ -45,7 +45,7 @@ class Gate:
             await self._app(scope, receive, send)
             return
         length = headers.get("content-length", "")
-        if length.isdigit() and int(length) > self._max_body_bytes:
+        if length.isdecimal() and int(length) > self._max_body_bytes:
             error = TooLarge(f"the body is larger than {self._max_body_bytes / 1e6:g} MB")
             await problem(error)(scope, receive, send)
             return

@@ -7,6 +7,11 @@ from pathlib import Path
 
 import pytest
 
+#: Tests talk to this machine alone, whatever proxy the environment names.
+for _name in ("http_proxy", "https_proxy", "all_proxy"):
+    os.environ.pop(_name, None)
+    os.environ.pop(_name.upper(), None)
+
 ROOT = Path(__file__).resolve().parent.parent
 
 

@@ -32,10 +32,13 @@ def tracks() -> list[Track]:
     ]
 
 
-def finished_job(api: LiveApi) -> str:
-    """Create a job and publish small outputs for each of its stages; returns its id."""
+def finished_job(api: LiveApi, recording: bytes = b"not looked at") -> str:
+    """Create a job and publish small outputs for each of its stages; returns its id.
+
+    Jobs with the same recording share their outputs.
+    """
     site = api.site(cameras=1)
-    api.upload(site, b"not looked at")
+    api.upload(site, recording)
     job_id = str(api.http.post(f"/v1/sites/{site}/jobs", json={}).json()["id"])
     leases, store = api.services.leases, api.services.stages
     for stage in api.services.jobs.job(job_id).stages:

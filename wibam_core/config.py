@@ -76,7 +76,7 @@ class FinetuneConfig(StageConfig):
         None, gt=0, description="peak rate; unless given, 1.5e-3 for 'lifted' and 1e-4 for 'paper'"
     )
     steps_per_epoch: int = Field(50, ge=1, description="a checkpoint and a validation after each")
-    seed: int = 0
+    seed: int = Field(0, ge=0, le=2**63 - 1)
 
 
 class EvaluateConfig(StageConfig):

@@ -15,6 +15,7 @@ from wibam_core.adapters.files import DataFolder
 from wibam_core.adapters.job_rows import StageKey
 from wibam_core.adapters.job_store import JobStore
 from wibam_core.adapters.lease_store import LeaseStore
+from wibam_core.adapters.ownership import claim_folder
 from wibam_core.adapters.queue import RUN_STAGE, JobQueue, make_celery
 from wibam_core.adapters.settings import ServiceSettings
 from worker.notice import Notice
@@ -37,11 +38,12 @@ def run_stage(job_id: str, stage: str) -> None:
 @cache
 def _runner() -> StageRunner:
     """One a process, made in the process that uses it: database connections do not survive a fork."""
-    database = Database(_settings.database_url)
+    database, folder = Database(_settings.database_url), DataFolder(_settings.data_dir)
+    claim_folder(database, folder)  # outputs that this database does not name are removed
     return StageRunner(
         JobStore(database),
         LeaseStore(database, _settings.leases),
-        DataFolder(_settings.data_dir),
+        folder,
         _settings.limits,
         _settings.leases,
         JobQueue(app).dispatch,

@@ -35,7 +35,8 @@ def create(
         Header(max_length=255, description="a second request with the same key gets the job that the first one made"),
     ] = None,
 ) -> JobOut:
-    """Works on the site and its files as they are now; later changes of the site do not touch the job.
+    """Works on the site and its files as they are now; later changes of the site do not touch the job, nor its
+    restarts.
 
     Every camera needs a recording (`missing_camera` otherwise), and every option must exist (`unknown_option`).
     """
@@ -109,7 +110,7 @@ def delete(job_id: str, services: ServicesDep) -> None:
 def log(
     job_id: str,
     services: ServicesDep,
-    offset: Annotated[int, Query(ge=0, description="in bytes; `next_offset` of the part before")] = 0,
+    offset: Annotated[int, Query(ge=0, le=2**40, description="in bytes; `next_offset` of the part before")] = 0,
 ) -> LogOut:
     """What the stages printed, and what the workers did."""
     ended = services.jobs.job(job_id).state.is_terminal
@@ -135,7 +136,12 @@ async def events(
     job_id: Annotated[str, Depends(_existing_job)],
     services: ServicesDep,
     last_event_id: Annotated[
-        int, Header(ge=0, description="go on after this event; browsers send it by themselves when they reconnect")
+        int,
+        Header(
+            ge=0,
+            le=2**31 - 1,
+            description="go on after this event; browsers send it by themselves when they reconnect",
+        ),
     ] = 0,
 ) -> AsyncIterator[ServerSentEvent]:
     """Everything that has happened, then everything as it happens. Ends when the job has ended."""

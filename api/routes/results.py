@@ -12,6 +12,7 @@ from typing import Annotated, Any, Literal
 import pyarrow.csv
 import pyarrow.parquet
 from fastapi import APIRouter, Query
+from pydantic import Field
 from starlette.responses import FileResponse, JSONResponse, Response, StreamingResponse
 
 from api.problems import documented
@@ -33,6 +34,7 @@ from wibam_core.scene import VehicleClass
 router = APIRouter(prefix="/v1/jobs/{job_id}", tags=["results"], responses=documented(401, 404, 409))
 public_router = APIRouter(tags=["results"])
 _PAGE = 1000
+Int64 = Annotated[int, Field(ge=-(2**63), le=2**63 - 1)]
 _HTML: dict[int | str, dict[str, Any]] = {200: {"content": {"text/html": {}}}}
 #: A report is our own file, but what is in it came from users' recordings: it may run scripts, and reach nothing.
 _REPORT_HEADERS = {
@@ -76,14 +78,14 @@ def tracks(
     job_id: str,
     services: ServicesDep,
     format: Literal["json", "csv", "parquet"] = "json",
-    start_ns: Annotated[int | None, Query(description="reference clock; counts in")] = None,
-    end_ns: Annotated[int | None, Query(description="reference clock; does not count in")] = None,
+    start_ns: Annotated[Int64 | None, Query(description="reference clock; counts in")] = None,
+    end_ns: Annotated[Int64 | None, Query(description="reference clock; does not count in")] = None,
     bounds: Annotated[
         str | None, Query(description="`x_min,y_min,x_max,y_max` in m", examples=["-10,-10,10,10"])
     ] = None,
     polygon: Annotated[str | None, Query(description="corners `x1,y1;x2,y2;...` in m", max_length=4000)] = None,
     vehicle_class: Annotated[list[VehicleClass] | None, Query(alias="class", description="any of these")] = None,
-    track_id: Annotated[list[int] | None, Query(description="any of these", max_length=1000)] = None,
+    track_id: Annotated[list[Int64] | None, Query(description="any of these", max_length=1000)] = None,
     min_speed_mps: Annotated[float | None, Query(ge=0, allow_inf_nan=False)] = None,
     limit: Annotated[int | None, Query(ge=1, le=100_000)] = None,
     cursor: Annotated[str | None, Query(description="`next` of the page before")] = None,

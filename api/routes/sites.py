@@ -34,6 +34,17 @@ def get(site_id: str, services: ServicesDep) -> SiteOut:
     return SiteOut.of(services.sites.site(site_id))
 
 
+@router.put("/{site_id}", summary="Describe a site anew", responses=documented(404, 413, 422))
+def replace(site_id: str, site: Site, services: ServicesDep) -> SiteOut:
+    """The whole document, with what was wrong corrected. Recordings stay with the cameras of the same id; those of
+    cameras that the site no longer has are taken off it.
+
+    Jobs keep the description that they were created with, even when they are restarted: create a new job to use this
+    one. It reuses the stages that the change does not touch.
+    """
+    return SiteOut.of(services.sites.replace_site(site_id, site))
+
+
 @router.delete("/{site_id}", status_code=204, summary="Delete a site", responses=documented(404, 409))
 def delete(site_id: str, services: ServicesDep) -> None:
     """Its recordings go with it. A site that still has jobs is kept (409)."""

@@ -3,30 +3,32 @@
 from __future__ import annotations
 
 import base64
-import binascii
+from collections.abc import AsyncIterator
 from email.utils import formatdate
 from typing import Annotated
 
 import anyio
-from fastapi import APIRouter, Depends, Header, Request, Response
+from fastapi import APIRouter, Header, Request, Response
 from starlette.concurrency import run_in_threadpool
 from starlette.requests import ClientDisconnect
 
-from api.problems import documented
+from api.problems import documented, problem
 from api.services import ServicesDep
+from api.tus import EXTENSIONS, TUS_VERSION
 from wibam_core.adapters.site_store import UploadRequest
 from wibam_core.adapters.uploads import CHECKSUMS, Checksum, Piece
 from wibam_core.errors import InputError, WibamError
 from wibam_core.jobs.records import Purpose, Upload
 
-_VERSION = "1.0.0"
 _BLOCK = 1024 * 1024
+_IDLE_S = 30.0  # a connection that brings no byte for so long is given up: it holds the upload
+_MOST = 2**63 - 1  # what a database takes
 _CONTENT_TYPE = "application/offset+octet-stream"
 
 
 class TusVersionMismatch(WibamError):
     code = "tus_version"
-    default_hint = f"Send the header Tus-Resumable: {_VERSION}."
+    default_hint = f"Send the header Tus-Resumable: {TUS_VERSION}."
 
 
 class WrongContentType(WibamError):
@@ -34,15 +36,13 @@ class WrongContentType(WibamError):
     default_hint = f"Send the bytes as Content-Type: {_CONTENT_TYPE}."
 
 
+class UploadStalled(WibamError):
+    code = "upload_stalled"
+    default_hint = "What arrived is kept: ask for the offset with HEAD and go on there."
+
+
 router = APIRouter(prefix="/v1/uploads", tags=["uploads"])
-TusVersion = Annotated[str, Header(alias="Tus-Resumable", description=f"must be {_VERSION}")]
-
-
-def _tus_headers(response: Response) -> None:
-    response.headers["Tus-Resumable"] = _VERSION
-
-
-tus = [Depends(_tus_headers)]
+TusVersion = Annotated[str, Header(alias="Tus-Resumable", description=f"must be {TUS_VERSION}")]
 
 
 @router.options("", status_code=204, summary="What this tus server can do")
@@ -50,9 +50,8 @@ tus = [Depends(_tus_headers)]
 def options(response: Response) -> None:
     response.headers.update(
         {
-            "Tus-Resumable": _VERSION,
-            "Tus-Version": _VERSION,
-            "Tus-Extension": "creation,expiration,termination,checksum",
+            "Tus-Version": TUS_VERSION,
+            "Tus-Extension": ",".join(EXTENSIONS),
             "Tus-Checksum-Algorithm": ",".join(CHECKSUMS),
         }
     )
@@ -61,14 +60,13 @@ def options(response: Response) -> None:
 @router.post(
     "",
     status_code=201,
-    dependencies=tus,
     summary="Begin an upload",
     responses=documented(401, 404, 412, 413, 422, 507),
 )
 def create(
     services: ServicesDep,
     response: Response,
-    upload_length: Annotated[int, Header(ge=0, description="size of the file in bytes")],
+    upload_length: Annotated[int, Header(ge=0, le=_MOST, description="size of the file in bytes")],
     upload_metadata: Annotated[
         str,
         Header(
@@ -80,12 +78,12 @@ def create(
 ) -> None:
     """The upload's address comes in the header `Location`."""
     _check_version(tus_resumable)
-    upload = services.uploads.create(_request(upload_length, parse_metadata(upload_metadata)))
+    upload = services.uploads.create(_request(upload_length, upload_metadata))
     response.headers["Location"] = f"/v1/uploads/{upload.id}"
     response.headers["Upload-Expires"] = _expires(upload)
 
 
-@router.head("/{upload_id}", dependencies=tus, summary="Where does an upload stand?", responses=documented(404, 410))
+@router.head("/{upload_id}", summary="Where does an upload stand?", responses=documented(404, 410))
 def head(upload_id: str, services: ServicesDep, response: Response, tus_resumable: TusVersion = "") -> None:
     """`Upload-Offset` bytes are safely on the service's disk."""
     _check_version(tus_resumable)
@@ -98,21 +96,22 @@ def head(upload_id: str, services: ServicesDep, response: Response, tus_resumabl
             "Cache-Control": "no-store",
         }
     )
+    if metadata := services.sites.upload_metadata(upload_id):
+        response.headers["Upload-Metadata"] = metadata
 
 
 @router.patch(
     "/{upload_id}",
     status_code=204,
-    dependencies=tus,
     summary="Send bytes",
-    responses=documented(401, 404, 409, 410, 412, 413, 415, 423, 460, 507),
+    responses=documented(401, 404, 408, 409, 410, 412, 413, 415, 423, 460, 507),
     openapi_extra={"requestBody": {"content": {_CONTENT_TYPE: {"schema": {"type": "string", "format": "binary"}}}}},
 )
 async def patch(
     upload_id: str,
     request: Request,
     services: ServicesDep,
-    upload_offset: Annotated[int, Header(ge=0, description="where these bytes belong")],
+    upload_offset: Annotated[int, Header(ge=0, le=_MOST, description="where these bytes belong")],
     content_type: Annotated[str, Header()] = "",
     upload_checksum: Annotated[str | None, Header(description="`sha256 base64` of these bytes")] = None,
     tus_resumable: TusVersion = "",
@@ -125,42 +124,62 @@ async def patch(
     piece = services.uploads.piece(upload_id, upload_offset, checksum)
     await run_in_threadpool(piece.__enter__)
     try:
-        if not await _receive(request, piece):
-            return Response(status_code=400)  # nobody is there to read it
+        try:
+            await _receive(request, piece)
+        except (ClientDisconnect, TimeoutError) as interruption:
+            await run_in_threadpool(piece.interrupted)
+            return _answer_to(interruption)
         upload = await run_in_threadpool(piece.finish)
     finally:
         with anyio.CancelScope(shield=True):
             await run_in_threadpool(piece.__exit__, None, None, None)
     return Response(
         status_code=204,
-        headers={"Upload-Offset": str(upload.offset), "Upload-Expires": _expires(upload), "Tus-Resumable": _VERSION},
+        headers={"Upload-Offset": str(upload.offset), "Upload-Expires": _expires(upload)},
     )
 
 
-@router.delete(
-    "/{upload_id}", status_code=204, dependencies=tus, summary="Drop an upload", responses=documented(401, 404, 423)
-)
+@router.delete("/{upload_id}", status_code=204, summary="Drop an upload", responses=documented(401, 404, 423))
 def delete(upload_id: str, services: ServicesDep, tus_resumable: TusVersion = "") -> None:
     """The recording that a complete upload became stays."""
     _check_version(tus_resumable)
     services.uploads.delete(upload_id)
 
 
-async def _receive(request: Request, piece: Piece) -> bool:
-    """Pump the body into the upload, a bounded block at a time. Returns whether all of it came."""
+async def _receive(request: Request, piece: Piece) -> None:
+    """Pump the body into the upload, a bounded block at a time.
+
+    Raises:
+        ClientDisconnect, TimeoutError: there will be no more; what came is written.
+    """
     block = bytearray()
     try:
-        async for chunk in request.stream():
+        async for chunk in _unless_idle(request.stream()):
             block += chunk
             if len(block) >= _BLOCK:
                 await run_in_threadpool(piece.write, bytes(block))
                 block.clear()
-    except ClientDisconnect:
+    except (ClientDisconnect, TimeoutError):
         await run_in_threadpool(piece.write, bytes(block))
-        await run_in_threadpool(piece.interrupted)
-        return False
+        raise
     await run_in_threadpool(piece.write, bytes(block))
-    return True
+
+
+def _answer_to(interruption: ClientDisconnect | TimeoutError) -> Response:
+    if isinstance(interruption, ClientDisconnect):
+        return Response(status_code=400)  # nobody is there to read it
+    return problem(UploadStalled(f"no byte came for {_IDLE_S:g} s"), headers={"Connection": "close"})
+
+
+async def _unless_idle(chunks: AsyncIterator[bytes]) -> AsyncIterator[bytes]:
+    """The chunks as they come. Raises TimeoutError when none comes for too long."""
+    while True:
+        with anyio.fail_after(_IDLE_S):
+            try:
+                chunk = await anext(chunks)
+            except StopAsyncIteration:
+                return
+        yield chunk
 
 
 def parse_metadata(header: str) -> dict[str, str]:
@@ -174,7 +193,7 @@ def parse_metadata(header: str) -> dict[str, str]:
         key, _, value = pair.partition(" ")
         try:
             metadata[key] = base64.b64decode(value, validate=True).decode("utf-8")
-        except (binascii.Error, UnicodeDecodeError):
+        except ValueError:
             raise InputError(f"Upload-Metadata: {key!r} is not base64 of UTF-8", hint="See https://tus.io.") from None
     return metadata
 
@@ -188,11 +207,12 @@ def parse_checksum(header: str) -> Checksum:
     algorithm, _, encoded = header.partition(" ")
     try:
         return Checksum(algorithm, base64.b64decode(encoded, validate=True))
-    except binascii.Error:
+    except ValueError:
         raise InputError("Upload-Checksum is not an algorithm and base64", hint="See https://tus.io.") from None
 
 
-def _request(length: int, metadata: dict[str, str]) -> UploadRequest:
+def _request(length: int, header: str) -> UploadRequest:
+    metadata = parse_metadata(header)
     try:
         purpose = Purpose(metadata.get("purpose", "recording"))
     except ValueError:
@@ -201,12 +221,13 @@ def _request(length: int, metadata: dict[str, str]) -> UploadRequest:
         ) from None
     if "site" not in metadata:
         raise InputError("Upload-Metadata names no site", hint="Send the site's id as 'site'.")
-    return UploadRequest(metadata["site"], purpose, metadata.get("camera", ""), metadata.get("filename", ""), length)
+    camera, filename = metadata.get("camera", ""), metadata.get("filename", "")
+    return UploadRequest(metadata["site"], purpose, camera, filename, length, header)
 
 
 def _check_version(version: str) -> None:
-    if version != _VERSION:
-        raise TusVersionMismatch(f"this is tus {_VERSION}, not {version or 'an unnamed version'}")
+    if version != TUS_VERSION:
+        raise TusVersionMismatch(f"this is tus {TUS_VERSION}, not {version or 'an unnamed version'}")
 
 
 def _expires(upload: Upload) -> str:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import re
-from pathlib import Path
 
 import cv2
 import pytest
@@ -12,7 +11,6 @@ import pytest
 from tests.unit.report.scenes import report_data
 from wibam_core.report.render import render
 
-BUILD = Path(__file__).resolve().parents[2] / "build" / "browser"
 #: Runs in the page, in the test alone: the report itself has no script.
 PROBE = """<script>
 addEventListener("load", () => {
@@ -41,8 +39,7 @@ def complaints(log: str) -> list[str]:
 def test_report_opens_without_complaints(browse, page, tmp_path):
     path = tmp_path / "report.html"
     path.write_text(page, encoding="utf-8")
-    BUILD.mkdir(parents=True, exist_ok=True)
-    shot = BUILD / "report.png"
+    shot = tmp_path / "report.png"
     result = browse(path.as_uri(), "--window-size=1180,9000", f"--screenshot={shot}")
     assert complaints(result.stderr) == []
     image = cv2.imread(str(shot))
@@ -72,7 +69,6 @@ def test_pictures_load_and_nothing_runs_out_of_the_page(browse, page, tmp_path, 
 def test_report_prints(browse, page, tmp_path):
     path = tmp_path / "report.html"
     path.write_text(page, encoding="utf-8")
-    BUILD.mkdir(parents=True, exist_ok=True)
-    pdf = BUILD / "report.pdf"
+    pdf = tmp_path / "report.pdf"
     browse(path.as_uri(), f"--print-to-pdf={pdf}", "--no-pdf-header-footer")
     assert pdf.read_bytes().startswith(b"%PDF") and pdf.stat().st_size > 100_000

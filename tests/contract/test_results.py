@@ -103,6 +103,9 @@ class TestTracks:
             {"class": "boat"},
             {"cursor": "x"},
             {"cursor": "1' OR 1=1"},
+            {"start_ns": "9" * 60},
+            {"end_ns": "-" + "9" * 60},
+            {"track_id": "9" * 60},
             {"limit": 0},
             {"limit": 1_000_000},
             {"min_speed_mps": "nan"},
@@ -222,7 +225,7 @@ class TestClient:
     def test_sends_files_in_pieces(
         self, client: WibamClient, api: LiveApi, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
     ) -> None:
-        monkeypatch.setattr("wibam_core.client._PIECE_BYTES", 1000)
+        monkeypatch.setattr("wibam_core.client.uploading._PIECE_BYTES", 1000)
         path = tmp_path / "x.mp4"
         path.write_bytes(bytes(3500))
         reported: list[tuple[int, int]] = []
@@ -235,12 +238,21 @@ class TestClient:
             client.restart(client.create_job(site).id)
 
 
-def test_deleting_a_job_takes_its_outputs_along(api: LiveApi) -> None:
-    job = finished_job(api)
-    stages = api.services.jobs.job(job).stages
-    again = api.http.post(f"/v1/sites/{api.http.get(f'/v1/jobs/{job}').json()['site_id']}/plan", json={}).json()
-    assert {stage["would"] for stage in again} == {"reuse"}
-    assert api.http.delete(f"/v1/jobs/{job}").status_code == 204
-    assert api.http.get(f"/v1/jobs/{job}").status_code == 404
-    # the module's own job has the same recording and options, so it still refers to the same outputs
-    assert all(api.services.stages.find(stage.name, stage.hash) is not None for stage in stages)
+def test_outputs_go_with_the_last_job_that_uses_them(api: LiveApi) -> None:
+    recording = b"seen in this test alone"
+    first, second = finished_job(api, recording), finished_job(api, recording)
+    stages = api.services.jobs.job(first).stages
+    assert [stage.hash for stage in api.services.jobs.job(second).stages] == [stage.hash for stage in stages]
+
+    def there() -> set[bool]:
+        return {api.services.stages.find(stage.name, stage.hash) is not None for stage in stages}
+
+    site = api.http.get(f"/v1/jobs/{first}").json()["site_id"]
+    plan = api.http.post(f"/v1/sites/{site}/plan", json={}).json()
+    assert {stage["would"] for stage in plan} == {"reuse"}
+    assert api.http.delete(f"/v1/jobs/{first}").status_code == 204
+    assert api.http.get(f"/v1/jobs/{first}").status_code == 404
+    assert there() == {True}
+    assert api.http.get(f"/v1/jobs/{second}/metrics").status_code == 200
+    assert api.http.delete(f"/v1/jobs/{second}").status_code == 204
+    assert there() == {False}

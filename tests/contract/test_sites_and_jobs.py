@@ -105,6 +105,49 @@ class TestSites:
         assert api.http.delete(f"/v1/sites/{ready_site}").status_code == 204
         assert api.http.get(f"/v1/sites/{ready_site}").status_code == 404
 
+    def test_can_be_described_anew_and_keep_their_recordings(self, api: LiveApi, ready_site: str) -> None:
+        before = api.http.get(f"/v1/sites/{ready_site}").json()
+        corrected = json.loads(json.dumps(before["site"]))
+        corrected["cameras"][0]["signals"] = [{"id": "a", "region": [1, 2, 3, 4]}]
+        replaced = api.http.put(f"/v1/sites/{ready_site}", json=corrected)
+        assert replaced.status_code == 200
+        assert replaced.json() == {**before, "site": corrected}
+        assert api.http.get(f"/v1/sites/{ready_site}").json() == replaced.json()
+        assert [file["camera"] for file in api.http.get(f"/v1/sites/{ready_site}/recordings").json()] == ["cam1"]
+
+    def test_cameras_that_are_gone_take_their_recordings_along(self, api: LiveApi) -> None:
+        site = api.site(cameras=2)
+        for camera in ("cam1", "cam2"):
+            api.upload(site, b"video of " + camera.encode(), camera=camera)
+        unfinished = api.begin(site, 10, camera="cam2").headers["Location"]
+        replaced = api.http.put(f"/v1/sites/{site}", json={**SITE, "cameras": SITE["cameras"][:1]})
+        assert replaced.json()["cameras"] == ["cam1"]
+        assert [file["camera"] for file in api.http.get(f"/v1/sites/{site}/recordings").json()] == ["cam1"]
+        assert api.send(unfinished, 0, b"x" * 10).status_code == 404
+        assert api.http.post(f"/v1/sites/{site}/jobs", json={}).status_code == 201
+
+    def test_jobs_keep_the_description_that_they_were_created_with(self, api: LiveApi, ready_site: str) -> None:
+        old = api.http.get(f"/v1/sites/{ready_site}").json()["site"]
+        path = f"/v1/sites/{ready_site}/jobs"
+        job = api.http.post(path, json={}).json()
+        corrected = json.loads(json.dumps(old))
+        corrected["cameras"][0]["signals"] = [{"id": "a", "region": [1, 2, 3, 4]}]
+        assert api.http.put(f"/v1/sites/{ready_site}", json=corrected).status_code == 200
+        api.http.post(f"/v1/jobs/{job['id']}/cancel")
+        restarted = api.http.post(f"/v1/jobs/{job['id']}/restart", json={}).json()
+        assert api.services.jobs.job(job["id"]).site.model_dump(mode="json") == old
+        hashes = [{stage["name"]: stage["hash"] for stage in j["stages"]} for j in (job, restarted)]
+        assert hashes[0] == hashes[1]
+        new = {stage["name"]: stage["hash"] for stage in api.http.post(path, json={}).json()["stages"]}
+        assert new["preflight"] == hashes[0]["preflight"]
+        assert new["sync"] != hashes[0]["sync"]
+
+    def test_a_wrong_new_description_changes_nothing(self, api: LiveApi, ready_site: str) -> None:
+        before = api.http.get(f"/v1/sites/{ready_site}").json()
+        assert_problem(api.http.put(f"/v1/sites/{ready_site}", json={"name": "x"}), 422, "invalid_input")
+        assert api.http.get(f"/v1/sites/{ready_site}").json() == before
+        assert_problem(api.http.put("/v1/sites/site_0000000000000000", json=SITE), 404, "not_found")
+
     def test_files_can_be_taken_off(self, api: LiveApi, ready_site: str) -> None:
         [file] = api.http.get(f"/v1/sites/{ready_site}/recordings").json()
         path = f"/v1/sites/{ready_site}/recordings/{file['id']}"
@@ -140,6 +183,8 @@ class TestCreatingJobs:
             ({"cooking": {}}, "cooking"),
             ({"finetune": {"steps": -1}}, "finetune.steps"),
             ({"finetune": "fast"}, "finetune"),
+            ({"finetune": {"seed": -1}}, "finetune.seed"),
+            ({"finetune": {"seed": 10**40}}, "finetune.seed"),
         ],
     )
     def test_an_unknown_option_is_named(self, api: LiveApi, ready_site: str, options: dict, name: str) -> None:
@@ -224,6 +269,10 @@ class TestSteeringJobs:
         with api.http.stream("GET", f"/v1/jobs/{job}/events", headers={"Last-Event-ID": "3"}) as stream:
             assert [number for number, _, _ in server_sent(stream)] == list(range(4, len(seen) + 1))
 
+    def test_events_after_one_that_cannot_be(self, api: LiveApi, ready_site: str) -> None:
+        path = f"/v1/jobs/{self.job(api, ready_site)}/events"
+        assert_problem(api.http.get(path, headers={"Last-Event-ID": "9" * 60}), 422, "invalid_input")
+
     def test_events_of_nothing(self, api: LiveApi) -> None:
         assert_problem(api.http.get("/v1/jobs/job_0000000000000000/events"), 404, "not_found")
 
@@ -240,7 +289,13 @@ class TestSteeringJobs:
         part = api.http.get(path, params={"offset": part["next_offset"]}).json()
         assert part["text"] == "second\n"
         assert api.http.get(path, params={"offset": part["next_offset"]}).json()["complete"]
-        assert_problem(api.http.get(path, params={"offset": -1}), 422, "invalid_input")
+        for offset in ("-1", "99999999999999999999"):
+            assert_problem(api.http.get(path, params={"offset": offset}), 422, "invalid_input")
+        assert api.http.get(path, params={"offset": 2**40}).json() == {
+            "text": "",
+            "next_offset": 2**40,
+            "complete": True,
+        }
 
 
 def server_sent(stream: httpx.Response) -> Any:

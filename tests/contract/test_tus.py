@@ -12,10 +12,13 @@ from base64 import b64encode
 from pathlib import Path
 from urllib.parse import urlsplit
 
+import httpx
 import pytest
 from tusclient.client import TusClient
 
-from tests.service import TOKEN, LiveApi, live_api, settings_for
+from tests.service import TOKEN, LiveApi, live_api, settings_for, wait_until
+from wibam_core.adapters.files import UploadFile
+from wibam_core.errors import Locked
 
 DATA = random.Random(0).randbytes(3_000_000)
 TUS = {"Tus-Resumable": "1.0.0"}
@@ -34,6 +37,19 @@ def begin(api: LiveApi, site: str, data: bytes = DATA, **values: str) -> str:
     response = api.begin(site, len(data), **values)
     assert response.status_code == 201, response.text
     return str(response.headers["Location"])
+
+
+def bytes_on_disk(api: LiveApi, path: str) -> int:
+    return api.services.folder.upload(Path(path).name).stat().st_size
+
+
+def is_locked(api: LiveApi, path: str) -> bool:
+    """Whether a request is still writing to the upload. It locks the upload itself to find out."""
+    try:
+        with UploadFile(api.services.folder, Path(path).name):
+            return False
+    except Locked:
+        return True
 
 
 def stored_bytes(api: LiveApi, path: str) -> bytes:
@@ -74,7 +90,7 @@ class TestPublicClient:
 
 class TestBreakingOff:
     def break_off(self, api: LiveApi, path: str, offset: int, sent: int) -> None:
-        """Announce everything, send some, and vanish."""
+        """Announce everything, send some (more than is written at once), and vanish when that is being written."""
         address = urlsplit(api.url)
         head = (
             f"PATCH {path} HTTP/1.1\r\nHost: x\r\nAuthorization: Bearer {TOKEN}\r\nTus-Resumable: 1.0.0\r\n"
@@ -83,22 +99,20 @@ class TestBreakingOff:
         )
         with socket.create_connection((address.hostname, address.port)) as connection:  # type: ignore[arg-type]
             connection.sendall(head.encode() + DATA[offset : offset + sent])
-            time.sleep(0.2)
+            wait_until(lambda: bytes_on_disk(api, path) > offset)
 
-    def settled_offset(self, api: LiveApi, path: str) -> int:
-        before, offset = -1, api.offset(path)
-        while before != offset:
-            time.sleep(0.15)
-            before, offset = offset, api.offset(path)
-        return offset
+    def settled_offset(self, api: LiveApi, path: str, before: int = 0) -> int:
+        """Where the upload stands once the broken connection has been noticed."""
+        wait_until(lambda: api.offset(path) > before and not is_locked(api, path))
+        return api.offset(path)
 
     def test_what_arrived_is_kept_and_the_result_is_whole(self, api: LiveApi, site: str) -> None:
         path = begin(api, site)
         self.break_off(api, path, 0, 1_300_000)
         offset = self.settled_offset(api, path)
         assert 0 < offset <= 1_300_000
-        self.break_off(api, path, offset, 500_000)
-        offset = self.settled_offset(api, path)
+        self.break_off(api, path, offset, 1_300_000)
+        offset = self.settled_offset(api, path, before=offset)
         assert api.send(path, offset, DATA[offset:]).status_code == 204
         assert stored_bytes(api, path) == DATA
         assert recordings(api, site)["cam1"]["sha256"] == hashlib.sha256(DATA).hexdigest()
@@ -157,20 +171,18 @@ class TestRefusals:
 
         def slowly() -> object:
             yield DATA[:1_500_000]
-            second_done.wait(10)
+            second_done.wait(60)
             yield DATA[1_500_000:]
 
         statuses: list[int] = []
         writer = threading.Thread(target=lambda: statuses.append(api.send(path, 0, slowly()).status_code))
         writer.start()
-        time.sleep(0.5)
-        started = time.monotonic()
-        response = api.send(path, 0, b"x")
+        wait_until(lambda: bytes_on_disk(api, path) > 0)
+        response = api.send(path, 0, b"x")  # answered while the first writer is still at it
         assert response.status_code == 423
         assert response.json()["code"] == "locked"
-        assert time.monotonic() - started < 2, "a locked upload must not hold the service up"
         second_done.set()
-        writer.join(10)
+        writer.join(60)
         assert statuses == [204]
         assert stored_bytes(api, path) == DATA
 
@@ -214,7 +226,21 @@ class TestRefusals:
     def test_another_protocol_version(self, api: LiveApi, site: str) -> None:
         path = begin(api, site)
         for headers in ({"Tus-Resumable": "0.2.2"}, {}):
-            assert api.http.head(path, headers=headers).status_code == 412
+            response = api.http.head(path, headers=headers)
+            assert response.status_code == 412
+            assert response.headers["Tus-Version"] == "1.0.0"
+
+    def test_refusals_speak_tus_too(self, api: LiveApi, site: str) -> None:
+        path = begin(api, site)
+        for status, response in (
+            (401, httpx.post(f"{api.url}/v1/uploads")),
+            (404, api.http.head("/v1/uploads/file_0000000000000000", headers=TUS)),
+            (409, api.send(path, 5, DATA)),
+            (412, api.http.delete(path)),
+            (422, api.http.post("/v1/uploads", headers=TUS)),
+        ):
+            assert response.status_code == status
+            assert response.headers["Tus-Resumable"] == "1.0.0"
 
     def test_another_content_type(self, api: LiveApi, site: str) -> None:
         assert api.send(begin(api, site), 0, DATA, content_type="video/mp4").status_code == 415
@@ -245,6 +271,18 @@ class TestRefusals:
         assert response.status_code == 422
         assert "Upload-Metadata" in response.json()["detail"]
 
+    @pytest.mark.parametrize("header", [b"site \xff\xfe", b"s\xe4te eA==", b"filename w\xe4"])
+    def test_headers_that_are_not_ascii(self, api: LiveApi, site: str, header: bytes) -> None:
+        headers = {**TUS, "Upload-Length": "10", "Upload-Metadata": header}
+        assert api.http.post("/v1/uploads", headers=headers).status_code == 422
+        headers = {**TUS, "Upload-Offset": "0", "Upload-Checksum": b"sha256 \xe4"}
+        headers["Content-Type"] = "application/offset+octet-stream"
+        assert api.http.patch(begin(api, site), content=DATA, headers=headers).status_code == 422
+
+    def test_numbers_beyond_all_files(self, api: LiveApi, site: str) -> None:
+        assert api.begin(site, 10**400).status_code == 422
+        assert api.send(begin(api, site), 10**60, DATA).status_code == 422
+
 
 def test_quota_and_expiry(tmp_path: Path) -> None:
     with live_api(settings_for(tmp_path / "data", upload_quota_bytes=1000, upload_lifetime_s=0.3)) as api:
@@ -274,6 +312,12 @@ def test_bytes_that_nobody_knows_of_are_swept(api: LiveApi, site: str) -> None:
     api.services.uploads.tidy()
     assert (old.exists(), young.exists(), known.exists()) == (False, True, True)
     young.unlink()
+
+
+def test_metadata_comes_back_word_by_word(api: LiveApi, site: str) -> None:
+    given = f"camera Y2FtMQ==,site {b64encode(site.encode()).decode()},  filename w6Q=,is_confidential"
+    begun = api.http.post("/v1/uploads", headers={**TUS, "Upload-Length": "10", "Upload-Metadata": given})
+    assert api.http.head(begun.headers["Location"], headers=TUS).headers["Upload-Metadata"] == given
 
 
 def test_termination(api: LiveApi, site: str) -> None:

@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
+import json
 import os
 import signal
 import stat
 import subprocess
 import sys
-import time
-from collections.abc import Callable
 from pathlib import Path
 
 import httpx
@@ -16,6 +15,7 @@ import pytest
 
 from tests.builders import corner_rig, site_of
 from tests.recordings import write_recording
+from tests.service import wait_until
 from wibam_core.cli.embedded import EmbeddedService
 from wibam_core.client import JobView, WibamClient
 from wibam_core.errors import Conflict, MissingCamera, Unauthorised, UnknownOption
@@ -42,13 +42,6 @@ def stage(job: JobView, name: str) -> StageState:
     return next(item.state for item in job.stages if item.name == name)
 
 
-def wait_for(condition: Callable[[], bool], seconds: float = 60.0) -> None:
-    deadline = time.monotonic() + seconds
-    while not condition():
-        assert time.monotonic() < deadline
-        time.sleep(0.1)
-
-
 def processes_of(service_data: Path, marker: str) -> list[int]:
     """Processes with ``marker`` in their command line that belong to the service on this data folder."""
     found = []
@@ -57,6 +50,19 @@ def processes_of(service_data: Path, marker: str) -> list[int]:
             command = (folder / "cmdline").read_bytes().replace(b"\0", b" ")
             if marker.encode() in command and bytes(service_data) in (folder / "environ").read_bytes():
                 found.append(int(folder.name))
+        except OSError:
+            continue  # it has just ended
+    return found
+
+
+def stages_of(service_data: Path, min_overlap_s: float) -> list[int]:
+    """Processes of stages of the job that has this option."""
+    found = []
+    for pid in processes_of(service_data, "stages.execute"):
+        try:
+            request = Path(os.fsdecode(Path(f"/proc/{pid}/cmdline").read_bytes().split(b"\0")[-2]))
+            if json.loads(request.read_bytes())["config"]["preflight"]["min_overlap_s"] == min_overlap_s:
+                found.append(pid)
         except OSError:
             continue  # it has just ended
     return found
@@ -102,12 +108,14 @@ class TestJobs:
         assert job.error.code == "unreadable_video"
         assert "cam2" in job.error.message
         client.upload_recording(site, "cam2", recording)
-        assert client.create_job(site, OPTIONS).state is JobState.QUEUED
+        again = client.create_job(site, OPTIONS)
+        assert again.state is JobState.QUEUED
+        assert stage(client.wait(again.id, timeout_s=60), "preflight").has_outputs
 
     def test_a_running_job_can_be_cancelled_and_restarted(self, client: WibamClient, recording: Path) -> None:
         options = {"preflight": {"min_overlap_s": 1.1}}
         job = client.create_job(send(client, recording), options)
-        wait_for(lambda: client.job(job.id).state is JobState.RUNNING)
+        wait_until(lambda: client.job(job.id).state is JobState.RUNNING)
         client.cancel(job.id)
         cancelled = client.wait(job.id, timeout_s=30)
         assert cancelled.state is JobState.CANCELLED
@@ -132,8 +140,8 @@ class TestDeaths:
         self, service: EmbeddedService, client: WibamClient, recording: Path
     ) -> None:
         job = client.create_job(send(client, recording), {"preflight": {"min_overlap_s": 1.2}})
-        wait_for(lambda: bool(processes_of(service.data_dir, "stages.execute")))
-        for pid in processes_of(service.data_dir, "stages.execute"):
+        wait_until(lambda: bool(stages_of(service.data_dir, 1.2)))
+        for pid in stages_of(service.data_dir, 1.2):
             os.kill(pid, signal.SIGKILL)
         failed = client.wait(job.id, timeout_s=60)
         assert failed.error is not None
@@ -144,12 +152,12 @@ class TestDeaths:
         self, service: EmbeddedService, client: WibamClient, recording: Path
     ) -> None:
         job = client.create_job(send(client, recording), {"preflight": {"min_overlap_s": 1.3}})
-        wait_for(lambda: client.job(job.id).state is JobState.RUNNING)
+        wait_until(lambda: client.job(job.id).state is JobState.RUNNING)
         workers = processes_of(service.data_dir, "worker.app")
         assert workers
         for pid in workers:
             os.kill(pid, signal.SIGKILL)
-        wait_for(lambda: not processes_of(service.data_dir, "stages.execute"), 10)
+        wait_until(lambda: not stages_of(service.data_dir, 1.3), 10)
         ended = client.wait(job.id, timeout_s=120)
         assert stage(ended, "preflight") is StageState.SUCCEEDED
         assert "attempt 2" in client.log(job.id)[0]
@@ -205,7 +213,7 @@ with EmbeddedService(Path({str(data)!r})) as service:
             with WibamClient(url, token) as client:
                 site = client.create_site(SITE).id
             process.kill()
-        wait_for(lambda: not processes_of(data, ""), 15)
+        wait_until(lambda: not processes_of(data, ""), 15)
         with EmbeddedService(data) as service, WibamClient(service.url, service.token) as client:
             assert service.token == token
             assert [found.id for found in client.sites()] == [site]

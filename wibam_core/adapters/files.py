@@ -6,6 +6,7 @@ import fcntl
 import hashlib
 import os
 import re
+import secrets
 import shutil
 import time
 from collections import OrderedDict
@@ -25,13 +26,14 @@ class DataFolder:
     """Where everything but the database's rows lies.
 
     ``uploads/`` unfinished uploads, ``files/`` finished ones, ``stages/`` published outputs (`StageStore`),
-    ``logs/`` one text file a job, ``cache/`` what stages may cache.
+    ``logs/`` one text file a job, ``cache/`` what stages may cache, ``database-id`` whose folder it is.
     """
 
     def __init__(self, root: Path) -> None:
         self.root = root.absolute()
+        self.root.mkdir(mode=0o700, parents=True, exist_ok=True)
         for folder in ("uploads", "files", "stages", "logs", "cache"):
-            (self.root / folder).mkdir(parents=True, exist_ok=True)
+            (self.root / folder).mkdir(exist_ok=True)
 
     @property
     def stages(self) -> Path:
@@ -73,7 +75,19 @@ class DataFolder:
         """Ids of files and uploads whose bytes have lain here unchanged for a while."""
         limit = time.time() - older_than_s
         paths = [path for name in ("uploads", "files") for path in (self.root / name).iterdir()]
-        return {path.name.split(".")[0] for path in paths if path.stat().st_mtime < limit}
+        ids = {path.name.split(".")[0] for path in paths if _unchanged_since(path, limit)}
+        return {name for name in ids if _ID.fullmatch(name)}
+
+    def database_id(self) -> str | None:
+        """Of the database that knows what lies here; None until one has been told (`belong_to`)."""
+        path = self.root / "database-id"
+        return path.read_text().strip() if path.exists() else None
+
+    def belong_to(self, database_id: str) -> None:
+        """Remember the database that knows what lies here."""
+        partial = self.root / f"database-id-{secrets.token_hex(4)}"  # services that start together do the same
+        partial.write_text(database_id + "\n")
+        partial.replace(self.root / "database-id")
 
     def remove_log(self, job_id: str) -> None:
         self.log(job_id).unlink(missing_ok=True)
@@ -208,6 +222,13 @@ class RunningDigests:
         self._kept[upload_id] = (offset, digest)
         while len(self._kept) > self._capacity:
             self._kept.popitem(last=False)
+
+
+def _unchanged_since(path: Path, limit: float) -> bool:
+    try:
+        return path.stat().st_mtime <= limit
+    except FileNotFoundError:  # it was removed meanwhile
+        return False
 
 
 def _plain(name: str) -> str:

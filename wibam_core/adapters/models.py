@@ -21,6 +21,14 @@ class Base(DeclarativeBase):
     type_annotation_map = {float: Float(53), dict[str, Any]: JSON, list[str]: JSON}  # noqa: RUF012  # SQLAlchemy's name
 
 
+class DatabaseIdRow(Base):
+    """The one row that tells this database from every other, so that no data folder is taken for another's."""
+
+    __tablename__ = "database_id"
+
+    id: Mapped[str] = mapped_column(String(64), primary_key=True)
+
+
 class SiteRow(Base):
     __tablename__ = "sites"
 
@@ -58,7 +66,7 @@ class FileRow(Base):
 
 
 class UploadRow(Base):
-    """``offset_bytes`` are safely on disk."""
+    """``offset_bytes`` are safely on disk; ``given_metadata`` is the client's, word by word."""
 
     __tablename__ = "uploads"
 
@@ -72,6 +80,7 @@ class UploadRow(Base):
     created_at: Mapped[float]
     expires_at: Mapped[float] = mapped_column(index=True)
     file_id: Mapped[str | None] = mapped_column(String(64))
+    given_metadata: Mapped[str] = mapped_column(Text)
 
 
 class JobRow(Base):

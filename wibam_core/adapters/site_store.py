@@ -21,13 +21,17 @@ Clock = Callable[[], float]
 
 @dataclass(frozen=True)
 class UploadRequest:
-    """A file that a client wants to send: ``length`` bytes, called ``filename`` over there."""
+    """A file that a client wants to send: ``length`` bytes, called ``filename`` over there.
+
+    ``metadata`` is what the client said about it, word by word; it gets it back.
+    """
 
     site_id: str
     purpose: Purpose
     camera_id: str
     filename: str
     length: int
+    metadata: str = ""
 
     def __post_init__(self) -> None:
         if self.length <= 0:
@@ -65,6 +69,25 @@ class SiteStore:
         """
         with self._database.reading() as session:
             return records.site_record(_site_row(session, site_id))
+
+    def replace_site(self, site_id: str, site: Site) -> SiteRecord:
+        """Describe a site anew. Jobs keep the description that they were created with.
+
+        Files stay, but for those of cameras that the site no longer has: they are taken off it, and their unfinished
+        uploads are forgotten.
+
+        Raises:
+            NotFound: there is no such site.
+        """
+        gone = (UploadRow.camera_id != "") & UploadRow.camera_id.not_in(site.camera_ids)
+        retired = (FileRow.camera_id != "") & FileRow.camera_id.not_in(site.camera_ids) & FileRow.retired_at.is_(None)
+        with self._database.writing(exclusive=True) as session:
+            row = _site_row(session, site_id)
+            row.document = site.model_dump_json()
+            session.execute(delete(UploadRow).where(UploadRow.site_id == site_id, UploadRow.file_id.is_(None), gone))
+            session.execute(update(FileRow).where(FileRow.site_id == site_id, retired).values(retired_at=self._now()))
+            session.flush()
+            return records.site_record(row)
 
     def delete_site(self, site_id: str) -> list[str]:
         """Forget a site with its files and uploads; returns the ids of the files whose bytes may go.
@@ -157,6 +180,7 @@ class SiteStore:
                     offset_bytes=0,
                     created_at=now,
                     expires_at=upload.expires_at,
+                    given_metadata=request.metadata,
                 )
             )
         return upload
@@ -171,6 +195,12 @@ class SiteStore:
                 raise NotFound(f"there is no upload {upload_id}", hint="It may have expired; start a new one.")
             return records.upload(row)
 
+    def upload_metadata(self, upload_id: str) -> str:
+        """What the client said about an upload, word by word; empty where there is no such upload."""
+        with self._database.reading() as session:
+            row = session.get(UploadRow, upload_id)
+            return row.given_metadata if row is not None else ""
+
     def advance_upload(self, upload_id: str, offset: int, *, lifetime_s: float) -> None:
         """Acknowledge bytes that are safely on disk, and keep the upload for another ``lifetime_s``."""
         values = {"offset_bytes": offset, "expires_at": self._now() + lifetime_s}
@@ -178,7 +208,11 @@ class SiteStore:
             session.execute(update(UploadRow).where(UploadRow.id == upload_id).values(values))
 
     def complete_upload(self, upload: Upload, *, suffix: str, sha256: str) -> StoredFile:
-        """All bytes are there: the upload becomes the current file of its purpose and camera; both have one id."""
+        """All bytes are there: the upload becomes the current file of its purpose and camera; both have one id.
+
+        Raises:
+            NotFound: the upload is gone: its site, or its camera, was deleted meanwhile.
+        """
         now = self._now()
         file = StoredFile(
             upload.id,
@@ -198,6 +232,8 @@ class SiteStore:
             & FileRow.retired_at.is_(None)
         )
         with self._database.writing(exclusive=True) as session:
+            if session.get(UploadRow, upload.id) is None:
+                raise NotFound(f"there is no upload {upload.id} any more", hint="Start a new one.")
             session.execute(update(FileRow).where(same_place).values(retired_at=now))
             session.add(
                 FileRow(

@@ -108,21 +108,30 @@ class UploadService:
             NotFound: there is no such upload.
             Locked: somebody is writing to it.
         """
-        upload = self.sites.upload(upload_id)
-        with UploadFile(self.folder, upload_id):
-            self.sites.delete_upload(upload_id)
-            if upload.file_id is None:
-                self.folder.remove_file(upload_id)
+        self._drop(upload_id, lambda upload: True)
 
     def tidy(self) -> None:
-        """Drop expired uploads, the bytes of files that nobody needs any more, and bytes that nobody knows of."""
-        for upload in self.sites.expired_uploads():
+        """Drop expired uploads, the bytes of files that nobody needs any more, and bytes that nobody knows of.
+
+        Only for a folder that is known to belong to this database (`claim_folder`).
+        """
+        for expired in self.sites.expired_uploads():
             with contextlib.suppress(Locked, NotFound):
-                self.delete(upload.id)
+                self._drop(expired.id, lambda upload: upload.expires_at < self.now())
         for file_id in self.sites.purge_files():
             self.folder.remove_file(file_id)
         for file_id in self.folder.old_file_ids() - self.sites.known_file_ids():
             self.folder.remove_file(file_id)
+
+    def _drop(self, upload_id: str, unwanted: Callable[[Upload], bool]) -> None:
+        self.sites.upload(upload_id)  # leaves no lock file behind for an upload that does not exist
+        with UploadFile(self.folder, upload_id):
+            upload = self.sites.upload(upload_id)  # whoever held the lock may have advanced or completed it
+            if not unwanted(upload):
+                return
+            self.sites.delete_upload(upload_id)
+            if upload.file_id is None:
+                self.folder.remove_file(upload_id)
 
 
 class Piece:

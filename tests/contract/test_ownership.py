@@ -1,0 +1,75 @@
+"""A data folder belongs to one database: with another, the service does not start, and removes nothing."""
+
+from __future__ import annotations
+
+import os
+import stat
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+from tests.service import live_api, settings_for
+from wibam_core.adapters.database import Database, sqlite_url
+from wibam_core.adapters.files import DataFolder
+from wibam_core.adapters.ownership import claim_folder
+from wibam_core.errors import Conflict
+
+
+@pytest.fixture
+def used(tmp_path: Path) -> Path:
+    """A data folder in which a service has kept a recording, long ago."""
+    data = tmp_path / "data"
+    with live_api(settings_for(data)) as api:
+        api.upload(api.site(), b"a recording")
+    for path in (data / "files").iterdir():
+        os.utime(path, (0, 0))
+    return data
+
+
+@pytest.fixture
+def other(tmp_path: Path) -> Iterator[Database]:
+    database = Database(sqlite_url(tmp_path / "other.db"))
+    database.migrate()
+    yield database
+    database.close()
+
+
+def files(data: Path) -> list[str]:
+    return [path.name for path in (data / "files").iterdir()]
+
+
+@pytest.mark.filterwarnings("ignore::pytest.PytestUnhandledThreadExceptionWarning")
+def test_another_database_is_refused_before_anything_is_removed(used: Path, other: Database) -> None:
+    before = files(used)
+    with (
+        pytest.raises(AssertionError, match="did not start"),
+        live_api(settings_for(used, database_url=other.url)),
+    ):
+        pass
+    assert files(used) == before
+    with pytest.raises(Conflict, match="another database") as caught:
+        claim_folder(other, DataFolder(used))
+    assert "WIBAM_DATABASE_URL" in caught.value.hint
+
+
+def test_its_own_database_goes_on(used: Path) -> None:
+    with live_api(settings_for(used)) as api:
+        api.services.uploads.tidy()
+        assert len(files(used)) == 1
+
+
+def test_a_folder_of_before_is_taken_by_the_database_that_knows_its_files(used: Path, other: Database) -> None:
+    (used / "database-id").unlink()
+    with pytest.raises(Conflict):
+        claim_folder(other, DataFolder(used))
+    with live_api(settings_for(used)):
+        assert (used / "database-id").is_file()
+
+
+def test_a_new_folder_is_taken_and_private(tmp_path: Path, other: Database) -> None:
+    folder = DataFolder(tmp_path / "new" / "data")
+    assert stat.S_IMODE(folder.root.stat().st_mode) == 0o700
+    claim_folder(other, folder)
+    claim_folder(other, folder)
+    assert folder.database_id() is not None

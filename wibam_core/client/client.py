@@ -1,0 +1,232 @@
+"""`WibamClient`: what one can ask a service, with types."""
+
+from __future__ import annotations
+
+import json
+import time
+from collections.abc import Callable, Iterator, Mapping
+from pathlib import Path
+from types import TracebackType
+from typing import Any, Self
+
+from wibam_core.client.connection import Connection
+from wibam_core.client.uploading import UploadProgress, send_file
+from wibam_core.client.views import ArtifactView, FileView, JobView, PlannedView, SiteView
+from wibam_core.errors import ServiceUnavailable
+from wibam_core.jobs.records import Purpose
+from wibam_core.site import Site
+
+
+class WibamClient:
+    """Talks to one service. A context manager. Errors of the service come back as `WibamError`s of the same kind.
+
+    Args:
+        url: e.g. ``http://127.0.0.1:8000``.
+        token: the API token.
+        timeout_s: for one request without news.
+        patience_s: how long uploads and `wait` put up with a service that does not answer.
+    """
+
+    def __init__(self, url: str, token: str, timeout_s: float = 30.0, patience_s: float = 60.0) -> None:
+        self._connection = Connection(url, token, timeout_s)
+        self._patience_s = patience_s
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.close()
+
+    def close(self) -> None:
+        self._connection.close()
+
+    # --- sites and files -----------------------------------------------------------------------
+    def create_site(self, site: Site) -> SiteView:
+        """Describe a site."""
+        return SiteView.model_validate(
+            self._connection.json("POST", "/v1/sites", content=site.model_dump_json().encode())
+        )
+
+    def sites(self) -> list[SiteView]:
+        return [SiteView.model_validate(item) for item in self._connection.json("GET", "/v1/sites")]
+
+    def replace_site(self, site_id: str, site: Site) -> SiteView:
+        """Describe a site anew. Recordings stay with the cameras of the same id; jobs keep their description."""
+        content = site.model_dump_json().encode()
+        return SiteView.model_validate(self._connection.json("PUT", f"/v1/sites/{site_id}", content=content))
+
+    def delete_site(self, site_id: str) -> None:
+        self._connection.request("DELETE", f"/v1/sites/{site_id}")
+
+    def files(self, site_id: str) -> list[FileView]:
+        """Recordings, labels and detector of a site."""
+        return [
+            FileView.model_validate(item) for item in self._connection.json("GET", f"/v1/sites/{site_id}/recordings")
+        ]
+
+    def upload_recording(
+        self, site_id: str, camera_id: str, path: Path, progress: UploadProgress = lambda sent, size: None
+    ) -> None:
+        """Send the recording of a camera. A broken connection is taken up where it broke."""
+        self._send(path, site_id, Purpose.RECORDING, camera_id, progress)
+
+    def upload_labels(self, site_id: str, path: Path, progress: UploadProgress = lambda sent, size: None) -> None:
+        """Send hand labels, for evaluation alone."""
+        self._send(path, site_id, Purpose.LABELS, "", progress)
+
+    def upload_detector(self, site_id: str, path: Path, progress: UploadProgress = lambda sent, size: None) -> None:
+        """Send a 2D detector (ONNX)."""
+        self._send(path, site_id, Purpose.DETECTOR, "", progress)
+
+    def _send(self, path: Path, site_id: str, purpose: Purpose, camera_id: str, progress: UploadProgress) -> None:
+        send_file(self._connection, path, site_id, purpose, camera_id, progress, self._patience_s)
+
+    # --- jobs ----------------------------------------------------------------------------------
+    def plan(self, site_id: str, options: Mapping[str, Any] | None = None) -> list[PlannedView]:
+        """What a job would do. Nothing is started."""
+        found = self._connection.json("POST", f"/v1/sites/{site_id}/plan", json={"options": dict(options or {})})
+        return [PlannedView.model_validate(item) for item in found]
+
+    def create_job(
+        self, site_id: str, options: Mapping[str, Any] | None = None, idempotency_key: str | None = None
+    ) -> JobView:
+        """Start a job."""
+        headers = {"Idempotency-Key": idempotency_key} if idempotency_key is not None else {}
+        body = {"options": dict(options or {})}
+        return JobView.model_validate(
+            self._connection.json("POST", f"/v1/sites/{site_id}/jobs", json=body, headers=headers)
+        )
+
+    def job(self, job_id: str) -> JobView:
+        return JobView.model_validate(self._connection.json("GET", f"/v1/jobs/{job_id}"))
+
+    def jobs(self, site_id: str | None = None) -> list[JobView]:
+        """The newest first."""
+        params = {"site": site_id} if site_id is not None else {}
+        return [JobView.model_validate(item) for item in self._connection.json("GET", "/v1/jobs", params=params)]
+
+    def wait(
+        self,
+        job_id: str,
+        on_update: Callable[[JobView], None] = lambda job: None,
+        *,
+        check: Callable[[], None] = lambda: None,
+        timeout_s: float | None = None,
+        interval_s: float = 0.5,
+    ) -> JobView:
+        """Wait until a job has ended; it may have failed (`JobView.raise_for_failure`).
+
+        Args:
+            job_id: which.
+            on_update: told whenever the job has changed.
+            check: called before every look; what it raises ends the waiting.
+            timeout_s: how long to wait at most.
+            interval_s: how often to look.
+
+        Raises:
+            TimeoutError: it has not ended by then.
+            ServiceUnavailable: the service has not answered for a while (``patience_s``).
+        """
+        deadline = time.monotonic() + timeout_s if timeout_s is not None else None
+        last: JobView | None = None
+        answered = time.monotonic()
+        while True:
+            check()
+            try:
+                job = self.job(job_id)
+            except ServiceUnavailable:
+                if time.monotonic() - answered > self._patience_s:
+                    raise
+            else:
+                answered = time.monotonic()
+                if job != last:
+                    on_update(job)
+                    last = job
+                if job.state.is_terminal:
+                    return job
+            if deadline is not None and time.monotonic() > deadline:
+                state = last.state if last is not None else "unknown"
+                raise TimeoutError(f"job {job_id} is still {state} after {timeout_s:g} s")
+            time.sleep(interval_s)
+
+    def cancel(self, job_id: str) -> JobView:
+        return JobView.model_validate(self._connection.json("POST", f"/v1/jobs/{job_id}/cancel"))
+
+    def restart(self, job_id: str, from_stage: str | None = None, options: Mapping[str, Any] | None = None) -> JobView:
+        """Run again what has no outputs, what changed, and all from ``from_stage`` on."""
+        body = {"from_stage": from_stage, "options": dict(options) if options is not None else None}
+        return JobView.model_validate(self._connection.json("POST", f"/v1/jobs/{job_id}/restart", json=body))
+
+    def delete_job(self, job_id: str) -> None:
+        self._connection.request("DELETE", f"/v1/jobs/{job_id}")
+
+    def log(self, job_id: str, offset: int = 0) -> tuple[str, int, bool]:
+        """A part of the log, the offset to go on at, and whether that was all."""
+        found = self._connection.json("GET", f"/v1/jobs/{job_id}/log", params={"offset": offset})
+        return str(found["text"]), int(found["next_offset"]), bool(found["complete"])
+
+    # --- results -------------------------------------------------------------------------------
+    def metrics(self, job_id: str) -> dict[str, Any]:
+        """The contents of ``metrics.json``."""
+        return dict(self._connection.json("GET", f"/v1/jobs/{job_id}/metrics"))
+
+    def conflicts(self, job_id: str) -> dict[str, Any]:
+        """The contents of ``conflicts.json``."""
+        return dict(self._connection.json("GET", f"/v1/jobs/{job_id}/conflicts"))
+
+    def tracks(self, job_id: str, **query: Any) -> Iterator[dict[str, Any]]:
+        """States of vehicles, sorted by time, fetched page by page.
+
+        Args:
+            job_id: which.
+            query: parameters of ``GET /v1/jobs/{id}/tracks``: ``start_ns``, ``end_ns``, ``bounds``, ``polygon``,
+                ``track_id``, ``min_speed_mps``; ``vehicle_class`` for its ``class``.
+        """
+        params = _track_params(query)
+        while True:
+            page = self._connection.json("GET", f"/v1/jobs/{job_id}/tracks", params=params)
+            yield from page["states"]
+            if page["next"] is None:
+                return
+            params["cursor"] = page["next"]
+
+    def download_tracks(self, job_id: str, target: Path, format: str = "parquet", **query: Any) -> Path:
+        """All matching states as a "parquet", "csv" or "json" file; ``query`` as in `tracks`."""
+        if format == "json":
+            target.write_text(json.dumps({"states": list(self.tracks(job_id, **query))}), encoding="utf-8")
+            return target
+        params = {**_track_params(query), "format": format}
+        return self._connection.download(f"/v1/jobs/{job_id}/tracks", target, params)
+
+    def download_conflicts(self, job_id: str, target: Path, format: str = "csv") -> Path:
+        return self._connection.download(f"/v1/jobs/{job_id}/conflicts", target, {"format": format})
+
+    def download_model(self, job_id: str, target: Path) -> Path:
+        """The fine-tuned weights (safetensors)."""
+        return self._connection.download(f"/v1/jobs/{job_id}/model", target)
+
+    def download_report(self, job_id: str, target: Path) -> Path:
+        """The HTML report."""
+        return self._connection.download(f"/v1/jobs/{job_id}/report", target)
+
+    def report_url(self, job_id: str) -> str:
+        """A link that opens the report in a browser, for some minutes."""
+        return self._connection.address(self._connection.json("GET", f"/v1/jobs/{job_id}/report-link")["url"])
+
+    def artifacts(self, job_id: str) -> list[ArtifactView]:
+        return [
+            ArtifactView.model_validate(item) for item in self._connection.json("GET", f"/v1/jobs/{job_id}/artifacts")
+        ]
+
+    def download_artifact(self, job_id: str, artifact_id: str, target: Path) -> Path:
+        """A file by its id, e.g. ``"evaluate/metrics.json"``."""
+        return self._connection.download(f"/v1/jobs/{job_id}/artifacts/{artifact_id}", target)
+
+
+def _track_params(query: Mapping[str, Any]) -> dict[str, Any]:
+    params = {name: value for name, value in query.items() if value is not None}
+    if "vehicle_class" in params:
+        params["class"] = params.pop("vehicle_class")
+    return params

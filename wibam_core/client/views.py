@@ -1,0 +1,93 @@
+"""What the service says, as the client hands it on. Fields that a newer service adds are left out."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from pydantic import BaseModel, ConfigDict
+
+from wibam_core.errors import WibamError
+from wibam_core.jobs.records import Purpose
+from wibam_core.jobs.states import JobState, StageState
+
+
+class _View(BaseModel):
+    model_config = ConfigDict(extra="ignore", frozen=True)
+
+
+class SiteView(_View):
+    """A site as the service has it."""
+
+    id: str
+    name: str
+    cameras: tuple[str, ...]
+
+
+class FileView(_View):
+    """An uploaded file of a site."""
+
+    id: str
+    purpose: Purpose
+    camera: str | None
+    filename: str
+    size_bytes: int
+    sha256: str
+
+
+class ProblemView(_View):
+    """Why something failed."""
+
+    code: str
+    message: str
+    hint: str = ""
+    details: dict[str, Any] = {}
+
+
+class StageView(_View):
+    """A stage of a job."""
+
+    name: str
+    title: str
+    state: StageState
+    fraction: float
+    message: str
+    figures: dict[str, float | None] = {}
+    summary: dict[str, Any] | None = None
+    error: ProblemView | None = None
+    seconds: float | None = None
+
+
+class JobView(_View):
+    """A job as it stands."""
+
+    id: str
+    site_id: str
+    state: JobState
+    fraction: float
+    remaining_s: float | None
+    stages: tuple[StageView, ...]
+    error: ProblemView | None = None
+    created_at: str
+
+    def raise_for_failure(self) -> None:
+        """Raises:
+        WibamError: of the kind that made the job fail.
+        """
+        if self.state is JobState.FAILED and self.error is not None:
+            raise WibamError.from_dict(self.error.model_dump())
+
+
+class PlannedView(_View):
+    """What a job would do with a stage: ``would`` is "run" or "reuse"."""
+
+    name: str
+    title: str
+    would: str
+
+
+class ArtifactView(_View):
+    """A file that a stage wrote."""
+
+    id: str
+    size_bytes: int
+    sha256: str
