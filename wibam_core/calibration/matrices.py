@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import cv2
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
@@ -15,6 +16,8 @@ Array = NDArray[np.float64]
 _MAX_HEIGHT_M = 500.0
 #: Ground farther from a camera than this is of no use.
 GROUND_RANGE_M = 200.0
+#: A pixel must come back to within this of itself once its distortion is undone and done again.
+_ROUND_TRIP_PX = 0.5
 
 
 def camera_from_matrices(
@@ -39,9 +42,20 @@ def camera_from_matrices(
 
 
 def build_camera(K: ArrayLike, dist: ArrayLike, T_world_cam: SE3, width_px: int, height_px: int) -> Camera:
-    """A `Camera`, with the user's mistakes as `CalibrationError`: also a principal point far outside the image."""
+    """A `Camera`, with the user's mistakes as `CalibrationError`.
+
+    Raises:
+        CalibrationError: if K or dist make no camera, the principal point lies far outside the image, the sensor is
+            tilted against the lens, or the distortion cannot be undone in all of the image.
+    """
+    coefficients = np.asarray(dist, dtype=np.float64).reshape(-1)
+    if coefficients.size == 14 and coefficients[12:].any():
+        raise CalibrationError(
+            "the lens model has a tilted sensor (distortion coefficients 13 and 14), which is not supported",
+            hint="Calibrate again without cv2.CALIB_TILTED_MODEL, or undistort the recording first.",
+        )
     try:
-        camera = Camera(np.asarray(K), np.asarray(dist), T_world_cam, width_px, height_px)
+        camera = Camera(np.asarray(K), coefficients, T_world_cam, width_px, height_px)
     except ValueError as error:
         raise CalibrationError(f"the intrinsics make no camera: {error}", hint=_INTRINSICS_HINT) from error
     cx, cy = camera.K[0, 2] / width_px, camera.K[1, 2] / height_px
@@ -51,10 +65,41 @@ def build_camera(K: ArrayLike, dist: ArrayLike, T_world_cam: SE3, width_px: int,
             f"{width_px}x{height_px} px",
             hint=_INTRINSICS_HINT,
         )
+    _check_lens(camera)
     return camera
 
 
 _INTRINSICS_HINT = "K is [[fx, 0, cx], [0, fy, cy], [0, 0, 1]] in pixels of the recording's size."
+
+
+def _check_lens(camera: Camera, steps: int = 41) -> None:
+    """Refuse a lens whose distortion formula folds back inside the image: several rays then share a pixel.
+
+    Coefficients fitted to points near the middle of the image do that near its corners.
+
+    Raises:
+        CalibrationError: naming the pixel that is worst off.
+    """
+    if not camera.has_distortion:
+        return
+    u, v = np.meshgrid(
+        np.linspace(-0.5, camera.width_px - 0.5, steps), np.linspace(-0.5, camera.height_px - 0.5, steps)
+    )
+    pixels = np.stack([u.ravel(), v.ravel()], axis=1)
+    rays = np.concatenate([camera.undistort(pixels), np.ones((len(pixels), 1))], axis=1)
+    # OpenCV's formula as it is, which `Camera.project` follows only as far as it can be undone
+    back, _ = cv2.projectPoints(rays, np.zeros(3), np.zeros(3), np.array(camera.K), np.array(camera.dist))
+    error_px = np.linalg.norm(back.reshape(-1, 2) - pixels, axis=1)
+    bad = ~(error_px <= _ROUND_TRIP_PX)
+    if bad.any():
+        worst = int(np.nan_to_num(error_px, nan=np.inf).argmax())
+        raise CalibrationError(
+            f"the distortion cannot be undone in {np.ceil(100 * bad.mean()):.0f}% of the image: pixel "
+            f"({pixels[worst, 0]:.1f}, {pixels[worst, 1]:.1f}) comes back {error_px[worst]:.1f} px away",
+            hint="Give coefficients that are valid over the whole image (calibrate with points out to its corners), "
+            "undistort the recording first, or crop it to the part they are valid for.",
+            pixel=pixels[worst].tolist(),
+        )
 
 
 def check_view(camera: Camera) -> None:

@@ -7,17 +7,18 @@ covers u in [−0.5, width − 0.5).
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from functools import cached_property
 
-import cv2
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from wibam_core.geometry import distortion
 from wibam_core.geometry.se3 import SE3
 
 Array = NDArray[np.float64]
 
-#: Image points farther out than this multiple of the image corner are not distorted any further: beyond the
-#: calibrated field of view the polynomial may fold back and throw a far-away point into the image.
+#: Points farther out than this multiple of the image corner are not distorted any further: the coefficients were
+#: measured within the image, and a polynomial is anyone's guess beyond what it was fitted to.
 _DISTORTION_LIMIT = 1.3
 
 
@@ -27,10 +28,12 @@ class Camera:
 
     Attributes:
         K: (3, 3) intrinsic matrix, px.
-        dist: (n,) distortion coefficients in OpenCV order (k1, k2, p1, p2, k3, ...); n in 0, 4, 5, 8, 12, 14.
+        dist: (n,) distortion coefficients in OpenCV order (k1, k2, p1, p2, k3, ...); n in 0, 4, 5, 8, 12, 14. The
+            13th and 14th, a tilted sensor's, must be zero.
         T_world_cam: pose; ``x_world = T_world_cam.apply(x_cam)``.
         width_px, height_px: image size.
-        distortion_limit: undistorted radius (tan of the angle to the axis) beyond which nothing is distorted.
+        distortion_limit: undistorted radius (tan of the angle to the axis) beyond which the distortion goes on in
+            straight lines, see `wibam_core.geometry.distortion`; infinite without distortion.
     """
 
     K: Array
@@ -49,6 +52,8 @@ class Camera:
             raise ValueError("K must have positive focal lengths and a last row of 0 0 1")
         if dist.size not in (0, 4, 5, 8, 12, 14) or not np.isfinite(dist).all():
             raise ValueError(f"dist must hold 0, 4, 5, 8, 12 or 14 finite coefficients, got {dist.size}")
+        if dist[12:].any():
+            raise ValueError("the lens has a tilted sensor (coefficients 13 and 14), which is not supported")
         if self.width_px <= 0 or self.height_px <= 0:
             raise ValueError("image size must be positive")
         K.setflags(write=False)
@@ -56,9 +61,10 @@ class Camera:
         object.__setattr__(self, "K", K)
         object.__setattr__(self, "dist", dist)
         if self.has_distortion:
-            border = self._border_px()
-            radius = np.linalg.norm(self.undistort(border), axis=-1).max()
-            object.__setattr__(self, "distortion_limit", float(_DISTORTION_LIMIT * radius))
+            monotone = distortion.monotone_radius(self._coefficients)
+            border = distortion.undistort(self._coefficients, self._normalised(self._border_px()), monotone)
+            radius = float(np.linalg.norm(border, axis=-1).max())
+            object.__setattr__(self, "distortion_limit", min(monotone, _DISTORTION_LIMIT * radius))
 
     def _border_px(self) -> Array:
         w, h = self.width_px - 0.5, self.height_px - 0.5
@@ -71,6 +77,11 @@ class Camera:
     @property
     def has_distortion(self) -> bool:
         return bool(self.dist.size and np.any(self.dist != 0))
+
+    @cached_property
+    def _coefficients(self) -> tuple[float, ...]:
+        """The coefficients that `wibam_core.geometry.distortion` takes."""
+        return tuple((self.dist.tolist() + [0.0] * distortion.COEFFICIENTS)[: distortion.COEFFICIENTS])
 
     @property
     def T_cam_world(self) -> SE3:
@@ -98,7 +109,7 @@ class Camera:
         points = np.asarray(points_cam, dtype=np.float64)
         xy = points[..., :2] / points[..., 2:3]
         if self.has_distortion:
-            xy = self._distort(xy)
+            xy = distortion.distort(self._coefficients, xy, self.distortion_limit)
         return xy * np.array([self.K[0, 0], self.K[1, 1]]) + np.stack(
             [self.K[0, 1] * xy[..., 1] + self.K[0, 2], np.full(xy.shape[:-1], self.K[1, 2])], axis=-1
         )
@@ -116,30 +127,17 @@ class Camera:
         uv = self.project_camera_points(safe)
         return np.where(behind[..., None], np.nan, uv), depth
 
-    def _distort(self, xy: Array) -> Array:
-        radius = np.linalg.norm(xy, axis=-1, keepdims=True)
-        inside = np.minimum(1.0, self.distortion_limit / np.maximum(radius, 1e-12))
-        flat = (xy * inside).reshape(-1, 2)
-        ones = np.concatenate([flat, np.ones((len(flat), 1))], axis=1)
-        if len(flat) == 0:
-            return xy
-        out, _ = cv2.projectPoints(ones[:, None, :], np.zeros(3), np.zeros(3), np.eye(3), np.array(self.dist))
-        return out.reshape(xy.shape).astype(np.float64) / inside
-
     # --- image -> world ---------------------------------------------------------------------
     def undistort(self, uv: ArrayLike) -> Array:
         """Pixels (..., 2) to normalised image coordinates (..., 2) of the ideal pinhole (x/z, y/z)."""
-        pixels = np.asarray(uv, dtype=np.float64)
-        if not self.has_distortion:
-            y = (pixels[..., 1] - self.K[1, 2]) / self.K[1, 1]
-            x = (pixels[..., 0] - self.K[0, 2] - self.K[0, 1] * y) / self.K[0, 0]
-            return np.stack([x, y], axis=-1)
-        flat = pixels.reshape(-1, 1, 2)
-        if flat.shape[0] == 0:
-            return pixels.copy()
-        stop = (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 100, 1e-12)
-        out = cv2.undistortPoints(flat, np.array(self.K), np.array(self.dist), None, None, None, stop)
-        return out.reshape(pixels.shape).astype(np.float64)
+        xy = self._normalised(np.asarray(uv, dtype=np.float64))
+        return distortion.undistort(self._coefficients, xy, self.distortion_limit) if self.has_distortion else xy
+
+    def _normalised(self, pixels: Array) -> Array:
+        """Pixels (..., 2) in normalised coordinates (..., 2), still distorted."""
+        y = (pixels[..., 1] - self.K[1, 2]) / self.K[1, 1]
+        x = (pixels[..., 0] - self.K[0, 2] - self.K[0, 1] * y) / self.K[0, 0]
+        return np.stack([x, y], axis=-1)
 
     def rays(self, uv: ArrayLike) -> Array:
         """Unit directions in the world (..., 3) of the rays through pixels (..., 2), from ``centre_m``."""

@@ -12,8 +12,10 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
+from wibam_core.geometry import distortion
 from wibam_core.geometry.box3d import EDGES, UNIT_CORNERS
 from wibam_core.geometry.camera import Camera
+from wibam_core.geometry.projection import EDGE_SHARES, NEAR_M
 
 
 @dataclass(frozen=True, eq=False)
@@ -23,7 +25,8 @@ class CameraTensors:
     Attributes:
         K: (V, 3, 3), px. dist: (V, 12) coefficients in OpenCV order, zero where unused.
         rotation: (V, 3, 3) and translation: (V, 3) of ``T_cam_world``.
-        size: (V, 2) width and height, px. limit: (V,) undistorted radius beyond which nothing is distorted.
+        size: (V, 2) width and height, px. limit: (V,) undistorted radius beyond which distortion goes on in straight
+            lines, see `wibam_core.geometry.distortion`.
     """
 
     K: Tensor
@@ -37,13 +40,7 @@ class CameraTensors:
     def from_cameras(
         cls, cameras: Sequence[Camera], dtype: torch.dtype = torch.float32, device: torch.device | str = "cpu"
     ) -> CameraTensors:
-        """Stack cameras.
-
-        Raises:
-            ValueError: for tilted-sensor distortion (14 coefficients), which has no twin here.
-        """
-        if any(camera.dist.size == 14 and camera.dist[12:].any() for camera in cameras):
-            raise ValueError("tilted-sensor distortion (14 coefficients) is not supported; undistort the footage first")
+        """Stack cameras."""
 
         def stack(values: list[list[float]]) -> Tensor:
             return torch.tensor(values, dtype=torch.float64).to(device=device, dtype=dtype)
@@ -102,24 +99,29 @@ def to_camera(cameras: CameraTensors, points_world: Tensor) -> Tensor:
     return (rotation @ points_world[..., None])[..., 0] + _like(cameras.translation, points_world, 1)
 
 
+def _clamped(cameras: CameraTensors, xy: Tensor) -> tuple[Tensor, Tensor]:
+    """Points (V, ..., 2) pulled in to the cameras' limits, and by which factors (V, ..., 1)."""
+    limit = _like(cameras.limit[..., None], xy, 1)
+    inside = limit / torch.maximum(xy.norm(dim=-1, keepdim=True), limit)
+    return xy * inside, inside
+
+
+def _polynomial(cameras: CameraTensors, xy: Tensor) -> Tensor:
+    coefficients = _like(cameras.dist, xy, 1).unbind(-1)
+    return torch.stack(distortion.polynomial(coefficients, *xy.unbind(-1)), dim=-1)
+
+
 def _distort(cameras: CameraTensors, xy: Tensor) -> Tensor:
-    d = _like(cameras.dist, xy, 1)
-    k1, k2, p1, p2, k3, k4, k5, k6, s1, s2, s3, s4 = d.unbind(-1)
-    x, y = xy.unbind(-1)
-    r2 = x * x + y * y
-    radial = (1 + r2 * (k1 + r2 * (k2 + r2 * k3))) / (1 + r2 * (k4 + r2 * (k5 + r2 * k6)))
-    dx = 2 * p1 * x * y + p2 * (r2 + 2 * x * x) + s1 * r2 + s2 * r2 * r2
-    dy = p1 * (r2 + 2 * y * y) + 2 * p2 * x * y + s3 * r2 + s4 * r2 * r2
-    return torch.stack([x * radial + dx, y * radial + dy], dim=-1)
+    """Twin of `wibam_core.geometry.distortion.distort`: (V, ..., 2) to (V, ..., 2)."""
+    clamped, inside = _clamped(cameras, xy)
+    return _polynomial(cameras, clamped) / inside
 
 
 def project_camera_points(cameras: CameraTensors, points_cam: Tensor) -> Tensor:
     """Camera-frame points (V, ..., 3) with positive z to pixels (V, ..., 2)."""
     xy = points_cam[..., :2] / points_cam[..., 2:3]
     if bool((cameras.dist != 0).any()):
-        radius = xy.norm(dim=-1, keepdim=True).clamp_min(1e-12)
-        inside = (_like(cameras.limit[..., None], xy, 1) / radius).clamp_max(1.0)
-        xy = _distort(cameras, xy * inside) / inside
+        xy = _distort(cameras, xy)
     K = _like(cameras.K, xy, 2)
     u = K[..., 0, 0] * xy[..., 0] + K[..., 0, 1] * xy[..., 1] + K[..., 0, 2]
     v = K[..., 1, 1] * xy[..., 1] + K[..., 1, 2]
@@ -137,18 +139,57 @@ def project(cameras: CameraTensors, points_world: Tensor) -> tuple[Tensor, Tenso
     return project_camera_points(cameras, safe), depth
 
 
-def undistort(cameras: CameraTensors, uv: Tensor, iterations: int = 12) -> Tensor:
-    """Pixels (V, ..., 2) to normalised image coordinates (V, ..., 2), by fixed-point iteration where distorted."""
+def undistort(cameras: CameraTensors, uv: Tensor) -> Tensor:
+    """Pixels (V, ..., 2) to normalised image coordinates (V, ..., 2).
+
+    Where distorted, the derivatives are those of the last Newton step, hence of the inverse itself (implicit function
+    theorem); there are no second ones.
+    """
     K = _like(cameras.K, uv, 2)
     y = (uv[..., 1] - K[..., 1, 2]) / K[..., 1, 1]
     x = (uv[..., 0] - K[..., 0, 2] - K[..., 0, 1] * y) / K[..., 0, 0]
     target = torch.stack([x, y], dim=-1)
     if not bool((cameras.dist != 0).any()):
         return target
+    with torch.no_grad():
+        xy = _search(cameras, target)
+    return xy + _newton_steps(cameras, xy, target - _distort(cameras, xy))
+
+
+def _search(cameras: CameraTensors, target: Tensor) -> Tensor:
+    """Twin of `wibam_core.geometry.distortion.undistort`, to within a few rounding errors: (V, ..., 2)."""
     xy = target
-    for _ in range(iterations):
-        xy = xy + (target - _distort(cameras, xy))
+    missing = target - _distort(cameras, xy)
+    error = missing.norm(dim=-1, keepdim=True)
+    enough = distortion.ROUNDINGS * torch.finfo(xy.dtype).eps * target.norm(dim=-1, keepdim=True).clamp_min(1.0)
+    step = _newton_steps(cameras, xy, missing)
+    for _ in range(distortion.MAX_STEPS):
+        if not bool((error > enough).any()):
+            break
+        trial = xy + step
+        missing = target - _distort(cameras, trial)
+        trial_error = missing.norm(dim=-1, keepdim=True)
+        closer = trial_error < error
+        xy, error = torch.where(closer, trial, xy), torch.where(closer, trial_error, error)
+        step = torch.where(closer, _newton_steps(cameras, trial, missing), step / 2)
     return xy
+
+
+def _newton_steps(cameras: CameraTensors, xy: Tensor, missing: Tensor) -> Tensor:
+    """Moves (V, ..., 2) of points (V, ..., 2) that change what `_distort` gives by ``missing`` (V, ..., 2)."""
+    coefficients = _like(cameras.dist, xy, 1).unbind(-1)
+    clamped, inside = _clamped(cameras, xy)
+    x, y = clamped.unbind(-1)
+    a, b, c, d = distortion.polynomial_slopes(coefficients, x, y)
+    # beyond the limit, moving outwards goes along the straight continuation instead
+    limit = _like(cameras.limit[..., None], xy, 1)
+    ux, uy = (clamped / limit).unbind(-1)
+    sx, sy = (_polynomial(cameras, clamped) / limit).unbind(-1)
+    beyond = (inside < 1)[..., 0].to(xy.dtype)
+    kink_x, kink_y = beyond * (sx - a * ux - b * uy), beyond * (sy - c * ux - d * uy)
+    a, b, c, d = a + kink_x * ux, b + kink_x * uy, c + kink_y * ux, d + kink_y * uy
+    u, v = missing.unbind(-1)
+    return torch.stack([d * u - b * v, a * v - c * u], dim=-1) / (a * d - b * c)[..., None]
 
 
 def rays(cameras: CameraTensors, uv: Tensor) -> Tensor:
@@ -175,9 +216,12 @@ def intersect_plane(cameras: CameraTensors, uv: Tensor, height_m: Tensor, max_ra
 
 
 def tight_boxes(
-    cameras: CameraTensors, boxes: Tensor, near_m: float = 0.1, clamp: bool = True
+    cameras: CameraTensors, boxes: Tensor, near_m: float = NEAR_M, clamp: bool = True
 ) -> tuple[Tensor, Tensor]:
     """Tight xyxy boxes (V, ..., 4) in px around the projections of boxes (V, ..., 7), near-plane clipped.
+
+    Twin of `wibam_core.geometry.projection.project_boxes`: where a camera has distortion, edges count along their
+    length.
 
     Returns:
         the boxes, and a mask (V, ...) of those with anything in front of the camera and, with ``clamp``, in the image.
@@ -195,8 +239,13 @@ def tight_boxes(
     seen = (torch.maximum(z0, z1) >= near_m)[..., 0]
     start = torch.where(z0 < near_m, cut, start)
     end = torch.where(z1 < near_m, cut, end)
-    points = torch.cat([start, end], dim=-2)
-    seen = torch.cat([seen, seen], dim=-1)
+    if bool((cameras.dist != 0).any()):
+        along = end - start
+        parts = [start + share * along for share in EDGE_SHARES[:-1].tolist()] + [end]
+    else:
+        parts = [start, end]
+    points = torch.cat(parts, dim=-2)
+    seen = torch.cat([seen] * len(parts), dim=-1)
     in_front = torch.tensor([0.0, 0.0, 1.0], dtype=points.dtype, device=points.device)
     uv = project_camera_points(cameras, torch.where(seen[..., None], points, in_front))
     infinity = torch.full_like(uv, torch.inf)

@@ -103,16 +103,17 @@ def _predict_batch(
         outputs = network(to_input(np.stack(images)))
         peaks = find_peaks(outputs.heat, min_score)
         values = gather(outputs, peaks.image, peaks.cells, peaks.classes)
-        boxes = boxes3d(values, cameras, network.mean_sizes_m, decode)
-        sd = standard_deviations(values, boxes, cameras).numpy()
+        predicted = boxes3d(values, cameras, network.mean_sizes_m, decode)
+        sd = standard_deviations(values, predicted, cameras, decode).numpy()
         boxes2d = boxes2d_px(values).numpy()
-    image, scores = peaks.image.numpy(), peaks.scores.double().numpy()
+    boxes, image, scores = predicted.numpy(), peaks.image.numpy(), peaks.scores.double().numpy()
+    finite = np.isfinite(boxes).all(axis=1)
     for index, frame in enumerate(frames):
-        mine = np.flatnonzero(image == index)
+        mine = np.flatnonzero((image == index) & finite)
         mine = mine[_distinct(boxes2d[mine])]
         yield Vehicles3D.of(
             frame.time_ns,
-            boxes.numpy()[mine],
+            boxes[mine],
             classes=peaks.classes.numpy()[mine],
             scores=scores[mine],
             sd=sd[mine],

@@ -37,8 +37,6 @@ def mirror_camera(camera: Camera) -> Camera:
         dist[3] = -dist[3]  # p2
     if dist.size >= 12:
         dist[8:10] = -dist[8:10]  # s1, s2
-    if dist.size == 14:
-        dist[13] = -dist[13]  # tilt about y
     return Camera(K, dist, T_mirrored.inverse(), camera.width_px, camera.height_px)
 
 

@@ -4,6 +4,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
+import torch
 
 from tests.builders import corner_rig, look_at, site_of
 from wibam_core.calibration.matrices import camera_from_matrices, visible_ground
@@ -13,6 +14,7 @@ from wibam_core.config import CalibrateConfig
 from wibam_core.errors import CalibrationError, NoOverlap
 from wibam_core.formats.rig import read_rig
 from wibam_core.geometry.ground import intersect_plane
+from wibam_core.geometry.torch_ops import CameraTensors, undistort
 from wibam_core.scene import CameraRig
 from wibam_core.site import Site
 from wibam_core.stages import calibrate as stage
@@ -141,6 +143,61 @@ def test_implausible_matrices_are_refused(change, match):
     with pytest.raises(CalibrationError, match=match) as error:
         camera_from_matrices(**given)
     assert error.value.hint
+
+
+#: Stops growing at 1.53, inside the image of a lens whose focal length is 0.52 image widths.
+FOLDING = (-0.33, 0.13, 0.0, 0.0, -0.025)
+
+
+@pytest.mark.parametrize("size", [(640, 360), (512, 288)])
+@pytest.mark.parametrize("kind", ["matrices", "pnp"])
+def test_a_lens_that_folds_back_inside_the_image_is_refused_by_name(kind, size):
+    width, height = size
+    camera = look_at((20.0, -12.0, 8.0), focal_px=0.52 * width, width_px=width, height_px=height, dist=FOLDING)
+    calibration = site_of(CameraRig({"pole": camera})).model_dump(mode="json")["cameras"][0]["calibration"]
+    if kind == "pnp":
+        shared = {"K": calibration["K"], "dist": calibration["dist"]}
+        calibration = {"kind": "pnp", **shared, "correspondences": correspondences(camera, POINTS)}
+    entry = {"id": "pole", "width_px": width, "height_px": height, "calibration": calibration}
+    with pytest.raises(CalibrationError, match="camera pole: the distortion cannot be undone in") as error:
+        calibrate(Site.model_validate({"name": "folded", "cameras": [entry]}), CONFIG)
+    assert error.value.details["camera"] == "pole"
+    u, v = error.value.details["pixel"]
+    assert abs(u - width / 2) > width / 4 and abs(v - height / 2) > height / 4  # near a corner
+    for way_out in ("over the whole image", "undistort the recording", "crop"):
+        assert way_out in error.value.hint
+
+
+@pytest.mark.parametrize(
+    ("focal_widths", "dist"),
+    [
+        (0.75, (-0.40, 0.20, 0.0, 0.0, -0.06)),  # folds beside the image
+        (0.62, FOLDING),  # likewise
+        (0.52, (-0.33, 0.13, 0.0, 0.0)),  # without its last coefficient, it does not fold
+        (0.55, (-0.15, 0.02, 5e-4, -5e-4, 0.0)),
+        (0.80, (0.3, 0.1, 0.001, 0.001, 0.0, 0.2, 0.05, 0.01, 0.001, 0.0, -0.001, 0.0, 0.0, 0.0)),
+    ],
+)
+def test_strong_lenses_that_can_be_undone_are_accepted(focal_widths, dist):
+    camera = look_at((20.0, -12.0, 8.0), focal_px=focal_widths * 640, dist=dist)
+    given = {"K": camera.K, "dist": dist, "width_px": 640, "height_px": 360}
+    rvec, tvec = camera.T_cam_world.to_rvec_tvec()
+    found = camera_from_matrices(rvec=rvec, tvec=tvec, **given)
+    twin = CameraTensors.from_cameras([found])
+    for corner in ([-0.5, -0.5], [639.5, 359.5]):
+        ray = found.undistort(corner)
+        np.testing.assert_allclose(found.project_camera_points([*ray, 1.0]), corner, atol=1e-6)
+        np.testing.assert_allclose(undistort(twin, torch.tensor([corner]))[0], ray, atol=1e-3)
+
+
+def test_a_tilted_sensor_is_refused_by_name():
+    site = site_of(corner_rig(2))
+    tilted = [-0.1, *[0.0] * 11, 0.0, 0.02]
+    with pytest.raises(CalibrationError, match="camera cam2: the lens model has a tilted sensor") as error:
+        calibrate(replaced(site, 1, dist=tilted), CONFIG)
+    assert "CALIB_TILTED_MODEL" in error.value.hint
+    rig, _ = calibrate(replaced(site, 1, dist=[-0.1, *[0.0] * 13]), CONFIG)
+    assert CameraTensors.from_cameras(list(rig.values())).dist[1, 0] == pytest.approx(-0.1)
 
 
 def test_convention_rvec_and_tvec_are_world_to_camera():

@@ -1,12 +1,14 @@
 """From frames of any size to vehicles in the world, one answer per frame, in order."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 import torch
 
 from tests.builders import look_at
 from wibam_core.models.inference import Frame, content_height_px, predict, prepare_camera, prepare_image
-from wibam_core.models.small import SmallNetwork
+from wibam_core.models.small import SmallNetwork, SmallOutputs
 from wibam_core.models.trunk import TrunkShape
 
 TINY = TrunkShape(channels=(8, 8, 8, 8, 8), blocks=(0, 0, 0, 0), neck=8)
@@ -47,6 +49,30 @@ def test_the_camera_may_have_another_size_than_the_image(network: SmallNetwork) 
     one = next(predict(network, [frame(640, 360, 1)], decode="plane", min_score=0.05))
     two = next(predict(network, [frame(640, 360, 1, (1920, 1080))], decode="plane", min_score=0.05))
     np.testing.assert_allclose(one.boxes, two.boxes, atol=0.02)
+
+
+@pytest.mark.parametrize(
+    ("head", "number"), [("centre3d", np.nan), ("centre3d", np.inf), ("depth", np.nan), ("yaw", np.nan)]
+)
+def test_boxes_that_are_not_finite_are_left_out(network: SmallNetwork, head: str, number: float) -> None:
+    frames = [frame(640, 360, 0), frame(640, 360, 1)]
+    whole = list(predict(network, frames, decode="depth", min_score=0.05))
+
+    def break_left_half(_: object, __: object, outputs: SmallOutputs) -> SmallOutputs:
+        values = getattr(outputs, head).clone()
+        values[..., : values.shape[-1] // 2] = number
+        return replace(outputs, **{head: values})
+
+    hook = network.register_forward_hook(break_left_half)
+    try:
+        broken = list(predict(network, frames, decode="depth", min_score=0.05))
+    finally:
+        hook.remove()
+    assert [v.time_ns for v in broken] == [0, 1]
+    for before, after in zip(whole, broken, strict=True):
+        assert 0 < len(after) < len(before)
+        assert np.isin(after.scores, before.scores).all()
+        assert np.isfinite(after.boxes).all()
 
 
 def test_no_frames_no_answers(network: SmallNetwork) -> None:

@@ -5,8 +5,9 @@ import pytest
 import torch
 
 from tests.builders import corner_rig
-from wibam_core.geometry.box3d import corners
+from wibam_core.geometry.box3d import EDGES, corners
 from wibam_core.geometry.camera import Camera
+from wibam_core.geometry.projection import EDGE_SHARES
 from wibam_core.geometry.torch_ops import CameraTensors
 from wibam_core.training.multiview import NEAR_M, OtherViews, multiview_loss
 
@@ -21,14 +22,16 @@ def giou_of(a: np.ndarray, b: np.ndarray) -> float:
 
 
 def loop_loss(boxes: np.ndarray, pairs: list[tuple[int, Camera, np.ndarray]]) -> float:
-    """Vehicle by vehicle, view by view, corner by corner."""
+    """Vehicle by vehicle, view by view, with points along the edges where a lens bends them."""
     means = []
     for index, box in enumerate(boxes):
         losses = []
         for vehicle, cam, given in pairs:
             if vehicle != index:
                 continue
-            uv, depth = cam.project(corners(box))
+            ends = corners(box)[EDGES]
+            share = (EDGE_SHARES if cam.has_distortion else np.array([0.0, 1.0]))[:, None, None]
+            uv, depth = cam.project(((1 - share) * ends[:, 0] + share * ends[:, 1]).reshape(-1, 3))
             if depth.min() < NEAR_M:
                 continue
             low = np.clip(uv.min(axis=0), -0.5, [cam.width_px - 0.5, cam.height_px - 0.5])
