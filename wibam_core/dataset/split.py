@@ -17,6 +17,8 @@ SUBSETS = ("train", "val", "test")
 
 #: A subset with fewer instants than this cannot say anything.
 MIN_INSTANTS = 4
+#: Gaps that take more than this share of the footage are worth a word.
+_LARGE_GAPS = 0.2
 
 
 @dataclass(frozen=True, eq=False)
@@ -69,8 +71,8 @@ class Split:
 def split_in_time(instants: Sequence[AnnotatedInstant], config: DatasetConfig) -> Split:
     """Split instants into train, val and test, in this order in time.
 
-    The time between the first and the last instant, less the gaps, is shared out; instants in a gap belong to no
-    subset. A vehicle that is still there after a gap, e.g. at a red light, is left out of the earlier subset.
+    The time from the first instant to the end of the last one, less the gaps, is shared out; instants in a gap belong
+    to no subset. A vehicle that is still there after a gap, e.g. at a red light, is left out of the earlier subset.
 
     Args:
         instants: associated, in order of time.
@@ -83,8 +85,7 @@ def split_in_time(instants: Sequence[AnnotatedInstant], config: DatasetConfig) -
     chosen = at_rate(times, config.rate_hz)
     shares = _shares(config)
     gaps = sum(share > 0 for share in shares.values()) - 1
-    period_s = 1.0 / config.rate_hz
-    span_s = (int(chosen[-1]) - int(chosen[0])) * 1e-9 + period_s if len(chosen) else 0.0
+    span_s = _length_s(times)
     usable_s = span_s - gaps * config.gap_s
     subsets: dict[str, tuple[int, ...]] = {}
     begin = float(chosen[0]) if len(chosen) else 0.0
@@ -95,6 +96,13 @@ def split_in_time(instants: Sequence[AnnotatedInstant], config: DatasetConfig) -
         begin = end + (config.gap_s * 1e9 if shares[name] > 0 else 0.0)
     _check(subsets, shares, config, gaps, span_s)
     return Split(subsets, _left_out(instants, subsets))
+
+
+def _length_s(times_ns: IntArray) -> float:
+    """From the first of sorted times (N,) to the end of the last, which stands for one period of the footage's own."""
+    if len(times_ns) < 2:
+        return 0.0
+    return float(times_ns[-1] - times_ns[0] + np.median(np.diff(times_ns))) * 1e-9
 
 
 def at_rate(times_ns: IntArray, rate_hz: float) -> IntArray:
@@ -126,10 +134,13 @@ def _check(
     smallest = min(shares[name] for name in short)
     needed_s = (MIN_INSTANTS + 1) / (smallest * config.rate_hz) + gaps * config.gap_s
     more_s = max(1, math.ceil(needed_s - span_s))
+    remedies = [f"Record at least {more_s} s longer", "raise dataset.rate_hz"]
+    if gaps * config.gap_s > _LARGE_GAPS * span_s:
+        remedies.append(f"lower dataset.gap_s (gaps take {gaps * config.gap_s:g} s)")
     raise TooFewInstants(
         f"{span_s:.1f} s of footage gives {', '.join(f'{len(subsets[name])} {name} instants' for name in short)}; "
         f"{MIN_INSTANTS} of each are the least",
-        hint=f"Record at least {more_s} s longer, or raise dataset.rate_hz.",
+        hint=f"{', '.join(remedies[:-1])}, or {remedies[-1]}.",
         more_s=more_s,
     )
 

@@ -32,6 +32,11 @@ SCHEMA = pa.schema(
     ]
 )
 
+_FORMAT = (
+    f"Labels are a Parquet table with the columns {', '.join(SCHEMA.names)}, one row per vehicle and instant, or JSON: "
+    "a list of objects with these fields. See docs/site-format.md."
+)
+
 
 def write_labels(path: Path, instants: Iterable[LabelledInstant]) -> None:
     """Write labels, sorted by time; as JSON where the path ends so, else as Parquet."""
@@ -84,7 +89,7 @@ def _is_parquet(path: Path) -> bool:
         with path.open("rb") as file:
             return file.read(4) == b"PAR1"
     except OSError as cause:
-        raise InvalidLabels(f"{path.name} cannot be read: {cause}", hint="Check the file.") from cause
+        raise InvalidLabels(f"{path.name} cannot be read: {cause}", hint="Upload it again.") from cause
 
 
 def _rows(instant: LabelledInstant) -> list[dict[str, Any]]:
@@ -113,14 +118,14 @@ def _table(rows: list[dict[str, Any]]) -> pa.Table:
 def _read_json(path: Path) -> tuple[pa.Table, list[int]]:
     try:
         data = json.loads(path.read_text(encoding="utf-8"))
-    except (OSError, ValueError) as cause:
-        raise InvalidLabels(f"{path.name} cannot be read as JSON: {cause}", hint="Check the file.") from cause
+    except UnicodeDecodeError as cause:
+        raise InvalidLabels(f"{path.name} is neither Parquet nor JSON: it is not even text", hint=_FORMAT) from cause
+    except (OSError, ValueError, RecursionError) as cause:
+        raise InvalidLabels(f"{path.name} is neither Parquet nor JSON ({cause})", hint=_FORMAT) from cause
     rows = data.get("labels") if isinstance(data, dict) else data
     empty = data.get("empty_instants", []) if isinstance(data, dict) else []
     if not isinstance(rows, list) or not all(isinstance(row, dict) for row in rows) or not isinstance(empty, list):
-        raise InvalidLabels(
-            f"{path.name} holds no list of labels", hint='Give a list of objects, or {"labels": [...]}.'
-        )
+        raise InvalidLabels(f"{path.name} is JSON, but holds no list of labels", hint=_FORMAT)
     rows = [
         {**row, "visibility": list(row["visibility"].items())} if isinstance(row.get("visibility"), dict) else row
         for row in rows
@@ -128,10 +133,10 @@ def _read_json(path: Path) -> tuple[pa.Table, list[int]]:
     for i, row in enumerate(rows):
         missing = [column.name for column in SCHEMA if not column.nullable and row.get(column.name) is None]
         if missing:
-            raise InvalidLabels(f"{path.name}: label {i} has no {missing[0]}", hint="Fill it in.", field=missing[0])
+            raise InvalidLabels(f"{path.name}: label {i} has no {missing[0]}", hint=_FORMAT, field=missing[0])
     try:
         return tables.conform(_table(rows), SCHEMA, path.name, "labels", InvalidLabels), [int(t) for t in empty]
-    except (pa.ArrowInvalid, pa.ArrowTypeError, TypeError, ValueError) as cause:
+    except (pa.ArrowInvalid, pa.ArrowTypeError, TypeError, ValueError, OverflowError) as cause:
         raise InvalidLabels(f"{path.name}: {cause}", hint="Correct the value's type.") from cause
 
 

@@ -3,11 +3,16 @@
 from __future__ import annotations
 
 from wibam_core.report.inputs import DetectorFigures, Metrics, Significance
+from wibam_core.report.words import percent
 
 #: Differences are called real below this p (bootstrap over vehicles).
 SIGNIFICANT = 0.01
 #: Fewer matched sightings than this are too few to say much.
 _FEW_MATCHES = 50
+#: Recall has no test of its own: a loss of this share of the labelled vehicles is worth a warning.
+_CLEAR_LOSS = 0.05
+#: False positives are clearly more if two Poisson counts would differ so only once in a hundred times, and by this.
+_CLEAR_Z, _CLEAR_RATIO = 2.58, 1.25
 
 
 def advice(metrics: Metrics) -> list[str]:
@@ -30,7 +35,7 @@ def _what_changed(before: DetectorFigures, after: DetectorFigures) -> str:
     return (
         f"Fine-tuning {_moved(before.bev_iou.mean, after.bev_iou.mean)}; the position error went from "
         f"{_two(before.ate_m.mean)} m to {_two(after.ate_m.mean)} m, and the share of vehicles found from "
-        f"{_percent(before.recall.mean)} to {_percent(after.recall.mean)}."
+        f"{percent(before.recall.mean)} to {percent(after.recall.mean)}."
     )
 
 
@@ -52,15 +57,49 @@ def _verdict(before: DetectorFigures, after: DetectorFigures, test: Significance
 
 def _reservations(before: DetectorFigures, after: DetectorFigures, significance: dict[str, Significance]) -> list[str]:
     found = []
-    size = significance.get("ase")
-    if size is not None and (size.difference or 0.0) > 0 and (size.p_bootstrap or 0.0) < SIGNIFICANT:
+    if _grew(significance.get("ate_m")):
+        found.append(
+            f"Positions got worse (ATE {_two(before.ate_m.mean)} m to {_two(after.ate_m.mean)} m): "
+            "do not take distances from the fine-tuned network."
+        )
+    if _grew(significance.get("ase")):
         found.append(
             f"Sizes got worse (ASE {_two(before.ase.mean)} to {_two(after.ase.mean)}): "
             "do not take lengths and widths from the fine-tuned network."
         )
+    if _grew(significance.get("aoe_deg")):
+        found.append(
+            f"Headings got worse (AOE {_degrees(before.aoe_deg.mean)} to {_degrees(after.aoe_deg.mean)}): "
+            "do not take headings and turns from the fine-tuned network."
+        )
+    first, second = before.recall.mean, after.recall.mean
+    if first is not None and second is not None and first - second >= _CLEAR_LOSS - 1e-9:
+        found.append(
+            f"Fewer vehicles are found (recall {percent(before.recall.mean)} to {percent(after.recall.mean)}): "
+            "counts from the fine-tuned network fall short."
+        )
+    if _clearly_more(before.false_positives, after.false_positives):
+        found.append(
+            f"There are more false positives ({before.false_positives} to {after.false_positives}): "
+            "look at the tracks for vehicles that are not there."
+        )
     if min(before.matched, after.matched) < _FEW_MATCHES:
         found.append(f"The figures rest on only {min(before.matched, after.matched)} matched sightings.")
     return found
+
+
+def _grew(test: Significance | None) -> bool:
+    """Whether an error grew by more than chance."""
+    if test is None or test.difference is None or test.p_bootstrap is None:
+        return False
+    return test.difference > 0 and test.p_bootstrap < SIGNIFICANT
+
+
+def _clearly_more(before: int | None, after: int | None) -> bool:
+    """Of two counts over the same frames."""
+    if before is None or after is None:
+        return False
+    return after >= _CLEAR_RATIO * before and after - before > _CLEAR_Z * float(before + after) ** 0.5
 
 
 def _without_labels(metrics: Metrics) -> list[str]:
@@ -97,5 +136,5 @@ def _two(value: float | None) -> str:
     return "–" if value is None else f"{value:.2f}"
 
 
-def _percent(value: float | None) -> str:
-    return "–" if value is None else f"{100 * value:.0f} %"
+def _degrees(value: float | None) -> str:
+    return "–" if value is None else f"{value:.1f}°"

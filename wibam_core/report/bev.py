@@ -130,7 +130,9 @@ def conflicts_figure(
     _draw_rig(axes, rig, ground.extent, fields_of_view=False)
     involved = {track_id: mark.kind for mark in conflicts for track_id in mark.track_ids}
     others = [track.boxes[:, :2] for track in tracks if track.track_id not in involved and len(track) > 1]
-    axes.add_collection(LineCollection(others, colors=MUTED, linewidths=0.6, alpha=0.45))
+    # on a light casing, so that the grey shows on the orthophoto's grey road, too
+    axes.add_collection(LineCollection(others, colors="white", linewidths=2.6, zorder=1.5))
+    axes.add_collection(LineCollection(others, colors=MUTED, linewidths=1.2, zorder=1.6))
     for track in tracks:
         if track.track_id in involved:
             colour = CONFLICT_COLOURS.get(involved[track.track_id], INK)

@@ -2,28 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+import math
 from dataclasses import dataclass
 
-from wibam_core.report.advice import SIGNIFICANT, advice
+from wibam_core.report.advice import advice
 from wibam_core.report.data import Dataset, ReportData, SubsetRow
-from wibam_core.report.inputs import ConflictRow, DetectorFigures, MeanSd, Metrics, Significance
+from wibam_core.report.inputs import ConflictRow, Metrics
 from wibam_core.report.pictures import MAX_CONFLICTS, Picture, Pictures
-
-#: Means and standard deviations published for the method, on the authors' own test set.
-PUBLISHED: Mapping[str, tuple[MeanSd, MeanSd]] = {
-    "bev_iou": (MeanSd(mean=0.33, sd=0.25), MeanSd(mean=0.64, sd=0.13)),
-    "iou_3d": (MeanSd(mean=0.25, sd=0.18), MeanSd(mean=0.48, sd=0.09)),
-    "ate_m": (MeanSd(mean=1.51, sd=0.97), MeanSd(mean=0.43, sd=0.43)),
-    "ase": (MeanSd(mean=0.12, sd=0.06), MeanSd(mean=0.23, sd=0.07)),
-    "aoe_deg": (MeanSd(mean=5.67, sd=5.47), MeanSd(mean=4.69, sd=2.91)),
-}
-NONE = "–"
-_NETWORKS = {
-    "baseline_depth": "baseline (depth)",
-    "baseline": "baseline (plane)",
-    "finetuned": "fine-tuned",
-}
+from wibam_core.report.results import NETWORKS, ResultRow, result_rows, z_tests
+from wibam_core.report.words import NONE, braking, interval, mean_sd, number, percent, signed
 
 _KINDS = {"matrices": "ready matrices", "pnp": "points, known lens", "homography": "ground points"}
 _FARTHEST_ZONE_M = 80.0
@@ -36,29 +23,6 @@ class Tile:
     name: str
     value: str
     before: str = ""
-
-
-@dataclass(frozen=True)
-class Cell:
-    """A figure, and beneath it its spread."""
-
-    value: str
-    spread: str = ""
-
-
-_Triple = tuple[Cell, Cell, Cell]
-
-
-@dataclass(frozen=True)
-class ResultRow:
-    """One metric. ``verdict`` is "better", "worse" or "" where the change may be chance."""
-
-    name: str
-    correct: _Triple
-    change: Cell
-    verdict: str
-    paper_compat: _Triple
-    published: tuple[Cell, Cell]
 
 
 @dataclass(frozen=True)
@@ -85,6 +49,8 @@ class Page:
     examples: tuple[ExamplePage, ...]
     tracks_text: str
     conflicts_text: str
+    conflicts_caption: str
+    most_braking: str
     conflicts: tuple[tuple[str, ...], ...]
     conflicts_left_out: int
     sync_warnings: tuple[str, ...]
@@ -112,7 +78,7 @@ def build_page(data: ReportData, pictures: Pictures) -> Page:
         has_labels=metrics.finetuned is not None,
         test_part=f"{metrics.instants} instants, {metrics.frames} images",
         results=result_rows(metrics),
-        z_tests=_z_tests(metrics),
+        z_tests=z_tests(metrics),
         consistency=_consistency(metrics),
         examples=tuple(
             ExamplePage(f"t = {example.time_s:.1f} s, predicted in {example.camera_id}", drawn)
@@ -120,6 +86,8 @@ def build_page(data: ReportData, pictures: Pictures) -> Page:
         ),
         tracks_text=_tracks_text(data),
         conflicts_text=_conflicts_text(data),
+        conflicts_caption=_conflicts_caption(data),
+        most_braking=braking(math.inf),
         conflicts=tuple(
             conflict_cells(number, row) for number, row in enumerate(data.conflicts[:MAX_CONFLICTS], start=1)
         ),
@@ -137,135 +105,10 @@ def build_page(data: ReportData, pictures: Pictures) -> Page:
     )
 
 
-def number(value: float | None, digits: int) -> str:
-    """A number, or a dash."""
-    return NONE if value is None else f"{value:.{digits}f}"
-
-
-def signed(value: float, digits: int) -> str:
-    """A number with its sign, as it is printed."""
-    return f"{value:+.{digits}f}".replace("-", "−")
-
-
-def mean_sd(value: MeanSd, digits: int = 2) -> str:
-    """``mean ± s.d.``"""
-    if value.mean is None:
-        return NONE
-    return number(value.mean, digits) + ("" if value.sd is None else f" ± {value.sd:.{digits}f}")
-
-
-def interval(value: float | None, ends: tuple[float | None, float | None], digits: int = 2) -> str:
-    """``value [low, high]``; an end without bound is ∞."""
-    if value is None:
-        return NONE
-    low, high = ("∞" if end is None else f"{end:.{digits}f}" for end in ends)
-    return f"{value:.{digits}f} [{low}, {high}]"
-
-
-def result_rows(metrics: Metrics) -> tuple[ResultRow, ...]:
-    """The before/after table: empty without labels."""
-    if metrics.baseline is None or metrics.finetuned is None:
-        return ()
-    networks = (metrics.baseline_depth, metrics.baseline, metrics.finetuned)
-    compat = tuple((metrics.paper_compat or {}).get(name) for name in _NETWORKS)
-    tests = metrics.significance or {}
-    measured = [
-        _metric_row(name, title, digits, networks, compat, tests.get(name))
-        for name, title, digits in (
-            ("bev_iou", "BEV IoU", 2),
-            ("iou_3d", "3D IoU", 2),
-            ("ate_m", "ATE (m)", 2),
-            ("ase", "ASE", 3),
-            ("aoe_deg", "AOE (°)", 1),
-            ("recall", "recall", 2),
-            ("bev_iou_misses_zero", "BEV IoU, misses as zero", 2),
-            ("iou_3d_misses_zero", "3D IoU, misses as zero", 2),
-        )
-    ]
-    counted = [
-        ResultRow(title, _counts(networks, name), Cell(""), "", _counts(compat, name), (Cell(""), Cell("")))
-        for name, title in (("matched", "matched"), ("missed", "missed"), ("false_positives", "false positives"))
-    ]
-    aliased = ResultRow(
-        "AOE of 150° and more", _alias_shares(networks), Cell(""), "", _alias_shares(compat), (Cell(""), Cell(""))
-    )
-    return (*measured, aliased, *counted)
-
-
-def _metric_row(
-    name: str,
-    title: str,
-    digits: int,
-    networks: tuple[DetectorFigures | None, ...],
-    compat: tuple[DetectorFigures | None, ...],
-    test: Significance | None,
-) -> ResultRow:
-    change, verdict = _change(name, digits, test)
-    before, after = (_cell(value, digits) for value in PUBLISHED.get(name, (None, None)))
-    return ResultRow(
-        title, _cells(networks, name, digits), change, verdict, _cells(compat, name, digits), (before, after)
-    )
-
-
-def _cell(value: MeanSd | None, digits: int) -> Cell:
-    if value is None:
-        return Cell("")
-    return Cell(number(value.mean, digits), "" if value.sd is None else f"± {value.sd:.{digits}f}")
-
-
-def _cells(networks: tuple[DetectorFigures | None, ...], name: str, digits: int) -> _Triple:
-    first, second, third = (_cell(getattr(one, name, MeanSd()), digits) for one in networks)
-    return first, second, third
-
-
-def _alias_shares(networks: tuple[DetectorFigures | None, ...]) -> _Triple:
-    first, second, third = (
-        Cell(NONE if figures is None or figures.alias_share is None else f"{100 * figures.alias_share:.1f} %")
-        for figures in networks
-    )
-    return first, second, third
-
-
-def _counts(networks: tuple[DetectorFigures | None, ...], name: str) -> _Triple:
-    first, second, third = (_count(None if one is None else getattr(one, name)) for one in networks)
-    return first, second, third
-
-
-def _count(value: int | None) -> Cell:
-    return Cell(NONE if value is None else f"{value}")
-
-
-def _change(name: str, digits: int, test: Significance | None) -> tuple[Cell, str]:
-    if test is None or test.difference is None:
-        return Cell(""), ""
-    p = test.p_bootstrap
-    mark = "" if p is None or p >= 0.05 else " **" if p < SIGNIFICANT else " *"
-    higher_is_better = name in ("bev_iou", "iou_3d")
-    verdict = "" if not mark else "better" if (test.difference > 0) == higher_is_better else "worse"
-    low, high = (None if end is None else signed(end, digits) for end in (test.low, test.high))
-    ends = "" if low is None or high is None else f"{low} to {high}"
-    return Cell(signed(test.difference, digits) + mark, ends), verdict
-
-
-def _z_tests(metrics: Metrics) -> str:
-    tests = metrics.significance or {}
-    chance = [name for name, test in tests.items() if test.p_z is None or test.p_z >= SIGNIFICANT]
-    if not tests:
-        return ""
-    if not chance:
-        return "By the paper's Z-test over single boxes all five differences are significant at 0.01."
-    named = ", ".join(_title(name) for name in chance)
-    return f"By the paper's Z-test over single boxes all differences but {named} are significant at 0.01."
-
-
-def _title(name: str) -> str:
-    return {"bev_iou": "BEV IoU", "iou_3d": "3D IoU", "ate_m": "ATE", "ase": "ASE", "aoe_deg": "AOE"}.get(name, name)
-
-
 def _consistency(metrics: Metrics) -> tuple[tuple[str, ...], ...]:
     return tuple(
         (title, mean_sd(value.other_views), mean_sd(value.own_view), str(value.pairs), number(value.found, 2))
-        for name, title in _NETWORKS.items()
+        for name, title in NETWORKS.items()
         if (value := metrics.self_consistency.get(name)) is not None
     )
 
@@ -289,7 +132,7 @@ def _tiles(data: ReportData) -> tuple[Tile, ...]:
         quality = [
             Tile("BEV IoU", number(after.bev_iou.mean, 2), number(before.bev_iou.mean, 2)),
             Tile("position error", f"{number(after.ate_m.mean, 2)} m", f"{number(before.ate_m.mean, 2)} m"),
-            Tile("vehicles found", _percent(after.recall.mean), _percent(before.recall.mean)),
+            Tile("vehicles found", percent(after.recall.mean), percent(before.recall.mean)),
         ]
     else:
         agreement = {name: value.other_views.mean for name, value in data.metrics.self_consistency.items()}
@@ -297,10 +140,6 @@ def _tiles(data: ReportData) -> tuple[Tile, ...]:
             Tile("agreement of views", number(agreement.get("finetuned"), 2), number(agreement.get("baseline"), 2))
         ]
     return (*quality, Tile("tracks", str(len(data.tracks))), Tile("conflicts", str(len(data.conflicts))))
-
-
-def _percent(share: float | None) -> str:
-    return NONE if share is None else f"{100 * share:.0f} %"
 
 
 def _contents(pictures: Pictures) -> tuple[tuple[str, str], ...]:
@@ -338,6 +177,12 @@ def _conflicts_text(data: ReportData) -> str:
     )
 
 
+def _conflicts_caption(data: ReportData) -> str:
+    involved = {track_id for row in data.conflicts[:MAX_CONFLICTS] for track_id in row.track_ids}
+    others = "; all other tracks are grey" if any(track.track_id not in involved for track in data.tracks) else ""
+    return f"Where the conflicts of the table happened, with the paths of those involved{others}."
+
+
 def conflict_cells(place: int, row: ConflictRow) -> tuple[str, ...]:
     """One conflict as the cells of its row."""
     return (
@@ -347,17 +192,17 @@ def conflict_cells(place: int, row: ConflictRow) -> tuple[str, ...]:
         f"{row.track_ids[0]} – {row.track_ids[1]}",
         f"{row.classes[0]} – {row.classes[1]}",
         interval(row.ttc_s, row.ttc_interval_s),
-        _percent(row.probability),
+        percent(row.probability),
         interval(row.pet_s, row.pet_interval_s),
         f"{3.6 * row.speeds_mps[0]:.0f} – {3.6 * row.speeds_mps[1]:.0f}",
-        number(None if row.ttc_s is None else row.deceleration_mps2, 1),
+        braking(None if row.ttc_s is None else row.deceleration_mps2),
     )
 
 
 def _dataset_text(dataset: Dataset) -> str:
     return (
         f"{dataset.detected_boxes} boxes of all cameras were clustered on the ground into vehicles that several "
-        f"cameras see at once; {_percent(dataset.unassociated_share)} of the boxes met none of another camera, and "
+        f"cameras see at once; {percent(dataset.unassociated_share)} of the boxes met none of another camera, and "
         f"{dataset.single_view} times a vehicle was seen by one camera alone. These vehicles, not hand labels, are "
         "what the network learned from."
     )

@@ -7,6 +7,9 @@ from numpy.typing import ArrayLike, NDArray
 
 Array = NDArray[np.float64]
 
+#: No road vehicle brakes harder: friction of about 1 on dry asphalt times 9.81 m/s². More cannot be avoided by braking.
+MAX_BRAKING_MPS2 = 10.0
+
 
 def deceleration_to_avoid(ttc_s: ArrayLike, velocities_a: ArrayLike, velocities_b: ArrayLike) -> Array:
     """Constant braking (...,) in m/s² that takes away the whole relative speed within the remaining distance.

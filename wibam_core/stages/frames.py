@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import os
 import threading
+from collections.abc import Mapping
 from concurrent.futures import Future, ThreadPoolExecutor, wait
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -20,9 +21,10 @@ from wibam_core.scene import ClockMap
 from wibam_core.stages.base import StageContext, Summary
 from wibam_core.video.decode import DecodeCount, frames_nearest
 from wibam_core.video.probe import VideoInfo
-from wibam_core.video.sampling import Span, common_instants, period_ns
+from wibam_core.video.sampling import Span, common_instants, overlap_s, period_ns
 
 _SECONDS_BETWEEN_REPORTS = 0.5
+_HINT_ALONE = "Check that camera's recording and clock, or remove it from the site."
 
 
 @dataclass
@@ -44,7 +46,8 @@ def run(context: StageContext, config: FramesConfig) -> Summary:
     """Write a frame store: for each instant that two cameras span, the nearest frame of every camera.
 
     Raises:
-        NoOverlap: no two recordings show the same instant.
+        NoOverlap: no two recordings show the same instant, or a camera shares too little time with every other one,
+            or has no frame at any common instant.
     """
     probed = json.loads((context.upstream["preflight"] / "probe.json").read_text(encoding="utf-8"))
     infos = {camera_id: VideoInfo(**values) for camera_id, values in probed.items()}
@@ -52,17 +55,19 @@ def run(context: StageContext, config: FramesConfig) -> Summary:
     spans = {camera_id: _span(info, clocks[camera_id]) for camera_id, info in infos.items()}
     instants = common_instants(spans, config.rate_hz)
     if not len(instants):
-        seen = "; ".join(f"{id_} {s.first_ns / 1e9:.1f} to {s.last_ns / 1e9:.1f} s" for id_, s in spans.items())
         raise NoOverlap(
-            f"no two recordings show the same instant: on the reference camera's clock they span {seen}",
-            spans_ns={camera_id: [span.first_ns, span.last_ns] for camera_id, span in spans.items()},
+            f"no two recordings show the same instant: on the reference camera's clock they span {_seen(spans)}",
+            spans_ns=_spans_ns(spans),
         )
+    limits = json.loads((context.upstream["preflight"] / "limits.json").read_text(encoding="utf-8"))
+    _check_shared(spans, infos, float(limits["min_overlap_s"]))
     cameras = [
         _camera(camera_id, context.recordings[camera_id], clocks[camera_id], info, instants, config.rate_hz)
         for camera_id, info in infos.items()
     ]
     with FrameStoreWriter(context.output, config.jpeg_quality) as writer:
         _read_all(cameras, writer, config.width_px, context)
+        _check_stored(cameras, len(instants))
         writer.close({camera.id: (camera.info.width_px, camera.info.height_px) for camera in cameras})
     return {
         "instants": len(instants),
@@ -75,6 +80,53 @@ def run(context: StageContext, config: FramesConfig) -> Summary:
 
 def _span(info: VideoInfo, clock: ClockMap) -> Span:
     return Span(int(clock.to_reference_ns(info.first_ns)), int(clock.to_reference_ns(info.last_ns)))
+
+
+def _check_shared(spans: Mapping[str, Span], infos: Mapping[str, VideoInfo], min_overlap_s: float) -> None:
+    """Every camera shares time with another one, and enough of it: the last frame is shown for a period, too."""
+    if len(spans) < 2:
+        return
+    shared_s = {
+        camera_id: max(overlap_s({camera_id: span, other: spans[other]}) for other in spans if other != camera_id)
+        for camera_id, span in spans.items()
+    }
+    alone = [camera_id for camera_id, seconds in shared_s.items() if seconds <= 0]
+    if alone:
+        raise NoOverlap(
+            f"camera {', '.join(alone)} shares no time with any other: on the reference camera's clock the recordings "
+            f"span {_seen(spans)}",
+            hint=_HINT_ALONE,
+            cameras=alone,
+            spans_ns=_spans_ns(spans),
+        )
+    for camera_id, seconds in shared_s.items():
+        if seconds + 1.0 / infos[camera_id].fps < min_overlap_s:
+            raise NoOverlap(
+                f"camera {camera_id} shares only {seconds:.1f} s with any other, of at least {min_overlap_s:g} s: on "
+                f"the reference camera's clock the recordings span {_seen(spans)}",
+                hint="Check that camera's recording and clock, record for longer, or lower preflight.min_overlap_s.",
+                camera=camera_id,
+                shared_s=seconds,
+                spans_ns=_spans_ns(spans),
+            )
+
+
+def _check_stored(cameras: list[_Camera], instants: int) -> None:
+    empty = [camera.id for camera in cameras if not camera.stored]
+    if empty:
+        raise NoOverlap(
+            f"camera {', '.join(empty)} has no frame at any of the {instants} common instants",
+            hint=_HINT_ALONE,
+            cameras=empty,
+        )
+
+
+def _seen(spans: Mapping[str, Span]) -> str:
+    return "; ".join(f"{id_} {span.first_ns / 1e9:.1f} to {span.last_ns / 1e9:.1f} s" for id_, span in spans.items())
+
+
+def _spans_ns(spans: Mapping[str, Span]) -> dict[str, list[int]]:
+    return {camera_id: [span.first_ns, span.last_ns] for camera_id, span in spans.items()}
 
 
 def _camera(

@@ -56,6 +56,7 @@ class StageSpec:
         site_part: what of the site description it depends on.
         reads_recordings: whether it opens the uploaded videos.
         assets: other uploaded files that it reads where there are any.
+        only_checks_assets: whether those can make it fail, but change nothing that it writes.
         title: what it does, for a person.
     """
 
@@ -66,6 +67,7 @@ class StageSpec:
     site_part: Callable[[Site], Any] = _nothing
     reads_recordings: bool = False
     assets: tuple[str, ...] = ()
+    only_checks_assets: bool = False
 
     def config(self, config: PipelineConfig) -> StageConfig:
         """This stage's part of the options."""
@@ -76,7 +78,16 @@ class StageSpec:
 
 _NETWORK = ("models", "detection")
 _SPECS = (
-    StageSpec("preflight", "Check the recordings", (), ("video",), _sizes, reads_recordings=True),
+    StageSpec(
+        "preflight",
+        "Check the recordings",
+        (),
+        ("video",),
+        _sizes,
+        reads_recordings=True,
+        assets=("labels",),
+        only_checks_assets=True,
+    ),
     StageSpec("sync", "Synchronise the cameras", ("preflight",), ("sync", "video"), _signals, reads_recordings=True),
     StageSpec("calibrate", "Calibrate the cameras", ("preflight",), ("calibration",), _calibration),
     StageSpec("frames", "Read the frames", ("preflight", "sync"), ("video",), _sizes, reads_recordings=True),
@@ -144,8 +155,13 @@ class PlannedStage:
 
 
 def plan(site: Site, config: PipelineConfig, inputs: InputDigests) -> tuple[PlannedStage, ...]:
-    """All stages of a job in order, with the addresses of their outputs."""
+    """All stages of a job in order, with the addresses of their outputs.
+
+    Assets that a stage only checks belong to its own address, so that new ones are checked, but not to those of the
+    stages after it: new labels train nothing again.
+    """
     planned: dict[str, PlannedStage] = {}
+    contents: dict[str, str] = {}
     for spec in STAGES.values():
         upstream = {name: planned[name].digest for name in spec.requires}
         facts = {
@@ -155,12 +171,17 @@ def plan(site: Site, config: PipelineConfig, inputs: InputDigests) -> tuple[Plan
             "site": spec.site_part(site),
             "recordings": dict(inputs.recordings) if spec.reads_recordings else None,
             "assets": {name: inputs.assets[name] for name in spec.assets if name in inputs.assets},
-            "upstream": upstream,
+            "upstream": {name: contents[name] for name in spec.requires},
         }
-        canonical = json.dumps(facts, sort_keys=True, separators=(",", ":"), allow_nan=False)
-        digest = hashlib.sha256(canonical.encode()).hexdigest()
+        digest = _digest_of(facts)
+        contents[spec.name] = _digest_of({**facts, "assets": {}}) if spec.only_checks_assets else digest
         planned[spec.name] = PlannedStage(spec.name, digest, MappingProxyType(upstream))
     return tuple(planned.values())
+
+
+def _digest_of(facts: Mapping[str, Any]) -> str:
+    canonical = json.dumps(facts, sort_keys=True, separators=(",", ":"), allow_nan=False)
+    return hashlib.sha256(canonical.encode()).hexdigest()
 
 
 @cache

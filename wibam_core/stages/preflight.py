@@ -1,4 +1,4 @@
-"""Check the recordings before anything long begins."""
+"""Check the recordings, and the hand labels if there are any, before anything long begins."""
 
 from __future__ import annotations
 
@@ -8,23 +8,29 @@ from pathlib import Path
 
 from wibam_core.config import PreflightConfig
 from wibam_core.errors import InputError, MissingCamera, NoOverlap, UnreadableVideo
+from wibam_core.formats.labels import read_labels
 from wibam_core.site import SiteCamera
 from wibam_core.stages.base import StageContext, Summary
 from wibam_core.video.probe import VideoInfo, probe
 
 
 def run(context: StageContext, config: PreflightConfig) -> Summary:
-    """Write ``probe.json``: camera id -> the fields of `wibam_core.video.probe.VideoInfo`.
+    """Write ``probe.json`` and ``limits.json``.
+
+    ``probe.json``: camera id -> the fields of `wibam_core.video.probe.VideoInfo`. ``limits.json``: what can only be
+    checked once the clocks are known, ``{"min_overlap_s": ...}``. Labels are read and checked, no more.
 
     Raises:
         MissingCamera: cameras of the site without a recording.
         UnreadableVideo: a recording that cannot be read.
         InputError: a recording of another size than its calibration.
-        NoOverlap: a recording shorter than the time that all must share.
+        NoOverlap: a recording shorter than the time that it must share with another.
+        InvalidLabels: hand labels that cannot be used.
     """
     missing = [camera_id for camera_id in context.site.camera_ids if camera_id not in context.recordings]
     if missing:
         raise MissingCamera(f"there is no recording of camera {', '.join(missing)}", cameras=missing)
+    labelled = {"labelled_instants": len(read_labels(context.assets["labels"]))} if "labels" in context.assets else {}
     infos: dict[str, VideoInfo] = {}
     for number, camera in enumerate(context.site.cameras):
         context.progress(number / len(context.site.cameras), f"camera {camera.id}")
@@ -32,20 +38,23 @@ def run(context: StageContext, config: PreflightConfig) -> Summary:
         _check_size(camera, info)
         if info.duration_s < config.min_overlap_s:
             raise NoOverlap(
-                f"the recording of camera {camera.id} lasts {info.duration_s:.1f} s; all cameras must share at least "
-                f"{config.min_overlap_s:g} s",
+                f"the recording of camera {camera.id} lasts {info.duration_s:.1f} s; it must share at least "
+                f"{config.min_overlap_s:g} s with another camera's",
                 hint="Record for longer, or lower preflight.min_overlap_s.",
                 camera=camera.id,
             )
         infos[camera.id] = info
     document = {camera_id: asdict(info) for camera_id, info in infos.items()}
     (context.output / "probe.json").write_text(json.dumps(document, indent=1), encoding="utf-8")
+    limits = {"min_overlap_s": config.min_overlap_s}
+    (context.output / "limits.json").write_text(json.dumps(limits), encoding="utf-8")
     context.progress(1.0)
     return {
         "cameras": {
             camera_id: f"{info.codec} {info.width_px}x{info.height_px} {info.fps:.2f} fps {info.duration_s:.1f} s"
             for camera_id, info in infos.items()
         },
+        **labelled,
         "shortest_s": min(info.duration_s for info in infos.values()),
         "warnings": [warning for camera_id, info in infos.items() for warning in _warnings(camera_id, info)],
     }

@@ -62,6 +62,20 @@ def test_too_short_footage_says_how_much_more(seconds: float) -> None:
     split_in_time(footage(seconds + more_s), DatasetConfig())
 
 
+def test_a_low_rate_does_not_lengthen_the_footage() -> None:
+    """24 s at one instant in 10 s: three instants, and not 30 s."""
+    with pytest.raises(TooFewInstants, match=r"^24\.0 s of footage gives 2 train instants") as raised:
+        split_in_time(footage(24), DatasetConfig(rate_hz=0.1, gap_s=0.0))
+    assert "gap_s" not in raised.value.hint
+    split_in_time(footage(24 + raised.value.details["more_s"]), DatasetConfig(rate_hz=0.1, gap_s=0.0))
+
+
+def test_large_gaps_are_named_as_a_reason() -> None:
+    with pytest.raises(TooFewInstants) as raised:
+        split_in_time(footage(60), DatasetConfig(gap_s=25.0))
+    assert "lower dataset.gap_s (gaps take 50 s)" in raised.value.hint
+
+
 def test_shares_that_leave_no_test() -> None:
     with pytest.raises(TooFewInstants, match="nothing for test"):
         split_in_time(footage(60), DatasetConfig(train_share=0.8, val_share=0.2))

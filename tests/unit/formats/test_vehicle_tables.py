@@ -149,6 +149,22 @@ def test_one_vehicle_twice_at_one_instant_is_refused(tmp_path: Path) -> None:
         read_labels(tmp_path / "labels.json")
 
 
+@pytest.mark.parametrize("content", [b"\xff\x00garbage", b"garbage", b"{", b"[" * 200_000])
+@pytest.mark.parametrize("name", ["labels.parquet", "labels.json"])
+def test_garbage_is_told_the_format(tmp_path: Path, name: str, content: bytes) -> None:
+    (tmp_path / name).write_bytes(content)
+    with pytest.raises(InvalidLabels, match="is neither Parquet nor JSON") as caught:
+        read_labels(tmp_path / name)
+    assert all(column in caught.value.hint for column in (*GOOD, "Parquet", "JSON", "docs/site-format.md"))
+
+
+@pytest.mark.parametrize("change", [{"time_ns": 10**30}, {"vehicle_id": 10**30}])
+def test_numbers_that_no_column_holds_are_refused(tmp_path: Path, change: dict) -> None:
+    (tmp_path / "labels.json").write_text(json.dumps([{**GOOD, **change}]))
+    with pytest.raises(InvalidLabels):
+        read_labels(tmp_path / "labels.json")
+
+
 @pytest.mark.parametrize("content", ["{", "3", '{"labels": 3}', "[1]"])
 def test_files_that_hold_no_labels_are_refused(tmp_path: Path, content: str) -> None:
     (tmp_path / "labels.json").write_text(content)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from matplotlib.backends.backend_agg import FigureCanvasAgg
 
 from tests.builders import corner_rig, look_at
 from tests.unit.report.scenes import boxes_at, crossing_traffic, paint
@@ -80,6 +81,21 @@ def test_figures_are_the_same_bytes_twice():
     first, second = (svg_uri(bev.tracks_figure(RIG, ground, tracks, marks)) for _ in range(2))
     assert first == second
     assert webp_uri(bev.conflicts_figure(RIG, ground, tracks, marks)).startswith("data:image/webp;base64,")
+
+
+def test_tracks_without_a_conflict_show_in_grey_on_a_grey_road():
+    """Lines across the map change many pixels by much, although the road below is of nearly the same grey."""
+    photo = np.full((200, 200, 3), (95, 105, 110), np.uint8)
+    marks = [ConflictMark(1, 2.0, -2.0, "crossing", (1, 3))]
+    pictures = []
+    for tracks in (crossing_traffic(), [t for t in crossing_traffic() if t.track_id in (1, 3)]):
+        figure = bev.conflicts_figure(RIG, Ground(EXTENT, photo), tracks, marks)
+        canvas = FigureCanvasAgg(figure)
+        canvas.draw()
+        pictures.append(np.asarray(canvas.buffer_rgba())[..., :3].astype(int))
+    with_others, without = pictures
+    changed = np.abs(with_others - without).max(axis=-1) > 40
+    assert changed.sum() > 1500
 
 
 def test_figures_draw_without_anything_to_show():

@@ -101,6 +101,16 @@ def test_without_labels_there_is_no_accuracy_but_agreement(page):
     assert 'class="results"' in page and "thin white lines are labels" in page
 
 
+def test_the_caption_speaks_of_grey_tracks_only_where_there_are_any(page):
+    assert "those involved; all other tracks are grey." in page
+    involved = tuple(track for track in report_data().tracks if track.track_id in (1, 3))
+    assert "those involved." in text_alone(tracks=involved)
+
+
+def test_the_note_says_what_the_most_braking_means(page):
+    assert "&gt; 10 is more than tyres can do" in page
+
+
 def test_with_nothing_found_the_page_still_stands():
     page = text_alone(
         conflicts=(), synchronisation=Synchronisation((), (), ()), training=Training((), (), 0, ()), stages=()

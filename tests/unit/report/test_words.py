@@ -12,9 +12,11 @@ from rich.console import Console
 from tests.unit.report.scenes import conflicts_json, crossing_traffic, metrics_json
 from wibam_core.cli.tables import print_tables
 from wibam_core.report.advice import advice
-from wibam_core.report.inputs import Metrics
-from wibam_core.report.page import interval, result_rows
+from wibam_core.report.inputs import Conflicts, Metrics
+from wibam_core.report.page import conflict_cells
+from wibam_core.report.results import result_rows, z_tests
 from wibam_core.report.summary import METRIC_NAMES, summary
+from wibam_core.report.words import interval
 
 
 def changed(**significance: dict[str, float]) -> Metrics:
@@ -44,6 +46,60 @@ def test_advice_warns_of_sizes_that_shrank():
     text = " ".join(advice(changed(ase={"difference": 0.1, "p_bootstrap": 0.001})))
     assert "do not take lengths and widths" in text
     assert "lengths" not in " ".join(advice(changed(ase={"difference": 0.1, "p_bootstrap": 0.5})))
+
+
+@pytest.mark.parametrize(
+    ("metric", "words"),
+    [("ate_m", "Positions got worse"), ("ase", "Sizes got worse"), ("aoe_deg", "Headings got worse")],
+)
+def test_advice_names_an_error_that_grew_by_more_than_chance(metric, words):
+    assert words in " ".join(advice(changed(**{metric: {"difference": 4.0, "p_bootstrap": 0.001}})))
+    for no_loss in (
+        {"difference": -4.0, "p_bootstrap": 0.001},
+        {"difference": 4.0, "p_bootstrap": 0.2},
+        {"difference": 4.0, "p_bootstrap": None},
+    ):
+        assert words not in " ".join(advice(changed(**{metric: no_loss})))
+
+
+@pytest.mark.parametrize(
+    ("recall", "false_positives", "words"),
+    [
+        (0.49, 14, ["Fewer vehicles are found (recall 55 % to 49 %)"]),
+        (0.54, 21, []),
+        (0.6, 60, ["There are more false positives (14 to 60)"]),
+        (0.3, 60, ["Fewer vehicles are found", "more false positives"]),
+    ],
+)
+def test_advice_names_vehicles_lost_and_made_up(recall, false_positives, words):
+    document = metrics_json()
+    document["finetuned"] |= {"recall": {"mean": recall, "sd": 0.2}, "false_positives": false_positives}
+    text = " ".join(advice(Metrics.model_validate(document)))
+    assert all(word in text for word in words)
+    assert ("Fewer vehicles" in text, "false positives" in text) == (recall < 0.5, false_positives > 21)
+
+
+def test_z_tests_name_what_is_significant():
+    none = {name: {"p_z": 0.3} for name in ("bev_iou", "iou_3d", "ate_m", "ase", "aoe_deg")}
+    real = {"p_z": 1e-6}
+    assert "no difference is significant" in z_tests(changed(**none))
+    assert z_tests(changed(**{**none, "aoe_deg": real})).endswith(
+        "the difference in AOE is significant at 0.01; those in BEV IoU, 3D IoU, ATE and ASE are not."
+    )
+    assert z_tests(changed(ase={"p_z": None})).endswith(
+        "the differences in BEV IoU, 3D IoU, ATE and AOE are significant at 0.01; that in ASE is not."
+    )
+    assert "all differences are significant at 0.01: BEV IoU, 3D IoU, ATE, ASE and AOE." in z_tests(changed())
+
+
+@pytest.mark.parametrize(
+    ("ttc_s", "needed_mps2", "cell"), [(1.27, 3.4, "3.4"), (0.4, 10.0, "10.0"), (0.001, 2683.4, "> 10"), (None, 0, "–")]
+)
+def test_braking_beyond_what_tyres_can_do_has_no_figure(ttc_s, needed_mps2, cell):
+    document = conflicts_json()
+    document["conflicts"][0] |= {"ttc_s": ttc_s, "deceleration_mps2": needed_mps2}
+    (row,) = Conflicts.model_validate(document).conflicts
+    assert conflict_cells(1, row)[-1] == cell
 
 
 def test_advice_sees_a_gain_that_loses_vehicles():

@@ -37,10 +37,17 @@ def test_an_option_changes_its_stage_and_all_after_it_alone() -> None:
     assert changed(sync={"method": "none"}) == set(STAGES) - {"preflight", "calibrate"}
 
 
-def test_labels_only_change_what_evaluates() -> None:
+def test_labels_only_change_what_checks_them_and_what_evaluates() -> None:
+    """New labels must be checked before anything long begins, and must not train anything again."""
     without = InputDigests(DIGESTS.recordings, {})
     before, after = (plan(site_of(), PipelineConfig(), d) for d in (DIGESTS, without))
-    assert {a.name for a, b in zip(after, before, strict=True) if a.digest != b.digest} == {"evaluate", "report"}
+    assert {a.name for a, b in zip(after, before, strict=True) if a.digest != b.digest} == {
+        "preflight",
+        "evaluate",
+        "report",
+    }
+    addresses = {stage.name: stage.digest for stage in after}
+    assert all(stage.upstream == {n: addresses[n] for n in STAGES[stage.name].requires} for stage in after)
 
 
 def test_a_new_recording_changes_everything_that_looks_at_videos() -> None:

@@ -11,7 +11,15 @@ import pytest
 
 from wibam_core.config import DetectConfig, FramesConfig, PreflightConfig
 from wibam_core.detection.boxes import Found
-from wibam_core.errors import Cancelled, InputError, MissingCamera, NoOverlap, NoVehicles, UnreadableVideo
+from wibam_core.errors import (
+    Cancelled,
+    InputError,
+    InvalidLabels,
+    MissingCamera,
+    NoOverlap,
+    NoVehicles,
+    UnreadableVideo,
+)
 from wibam_core.formats.annotations import read_annotations
 from wibam_core.formats.clocks import write_clocks
 from wibam_core.formats.framestore import FrameStore, FrameStoreWriter
@@ -184,6 +192,63 @@ def test_frames_of_recordings_that_do_not_overlap_are_refused(three: Run) -> Non
     with pytest.raises(NoOverlap, match=r"they span a 1\.0 to 4\.0 s; b") as caught:
         three.frames(apart)
     assert caught.value.details["spans_ns"]["a"][0] == S
+
+
+def test_a_camera_that_shares_no_time_with_the_others_is_named(three: Run) -> None:
+    three.preflight(min_overlap_s=1)
+    with pytest.raises(NoOverlap, match=r"camera c shares no time with any other.*c 1001\.5 to 1004\.0 s") as caught:
+        three.frames({**CLOCKS, "c": ClockMap(CLOCKS["c"].offset_ns + 1000 * S, CLOCKS["c"].drift)})
+    assert caught.value.details["cameras"] == ["c"]
+    assert "remove it from the site" in caught.value.hint
+
+
+@pytest.mark.parametrize("camera_id", ["b", "c"])
+def test_a_camera_that_shares_less_than_the_least_time_is_named(three: Run, camera_id: str) -> None:
+    """Every recording is longer than 2 s, but the clocks leave one of them 0.5 s together with the others."""
+    three.preflight(min_overlap_s=2)
+    shift_ns = {"b": -3 * S // 2, "c": 2 * S + S // 50}[camera_id]
+    clocks = {**CLOCKS, camera_id: ClockMap(CLOCKS[camera_id].offset_ns + shift_ns, CLOCKS[camera_id].drift)}
+    with pytest.raises(NoOverlap, match=rf"camera {camera_id} shares only 0\.\d s .*at least 2 s") as caught:
+        three.frames(clocks)
+    assert caught.value.details["shared_s"] < 1
+    assert "preflight.min_overlap_s" in caught.value.hint
+
+
+def test_recordings_of_just_the_least_time_are_enough(three: Run) -> None:
+    """Frames from 0 to 1.48 s, the last of them shown for 40 ms."""
+    folder = three.folder.parent / "videos"
+    run = Run(three.folder, {id_: record(folder / f"{id_}2.mp4", ClockMap(), 0, 37 * STEP_NS) for id_ in "ab"})
+    run.preflight(min_overlap_s=1.5)
+    summary, _ = run.frames({"a": ClockMap(), "b": ClockMap()})
+    assert summary["frames"]["a"] == summary["frames"]["b"] > 0
+
+
+def test_a_camera_without_a_frame_at_the_common_instants_is_an_error(three: Run) -> None:
+    """All share a moment, but nothing within reach of a common instant was recorded by b."""
+    three.recordings["b"] = record(
+        three.folder.parent / "videos" / "gap.mp4", ClockMap(), 0, 95 * STEP_NS, frozenset(range(4, 95))
+    )
+    three.preflight(min_overlap_s=1)
+    clocks = {**CLOCKS, "b": ClockMap()}
+    with pytest.raises(NoOverlap, match="camera b has no frame at any of the 3 common instants") as caught:
+        three.frames(clocks, rate_hz=1.0)
+    assert "remove it" in caught.value.hint
+    with pytest.raises(InputError):
+        FrameStore(three.folder / "frames")
+
+
+def test_preflight_refuses_labels_that_cannot_be_used(three: Run, tmp_path: Path) -> None:
+    labels = tmp_path / "labels.parquet"
+    labels.write_bytes(bytes(range(256)))
+    with pytest.raises(InvalidLabels, match="neither Parquet nor JSON"):
+        preflight.run(three.context("preflight", assets={"labels": labels}), PreflightConfig(min_overlap_s=1))
+
+
+def test_preflight_counts_the_labelled_instants(three: Run, tmp_path: Path) -> None:
+    labels = tmp_path / "labels.json"
+    labels.write_text('{"labels": [], "empty_instants": [40, 80]}')
+    context = three.context("preflight", assets={"labels": labels})
+    assert preflight.run(context, PreflightConfig(min_overlap_s=1))["labelled_instants"] == 2
 
 
 def test_frames_stop_when_their_progress_is_refused(three: Run) -> None:
