@@ -11,6 +11,7 @@ from pathlib import Path
 import pytest
 
 from wibam_core.config import PipelineConfig
+from wibam_core.formats.labels import SCHEMA, read_labels
 from wibam_core.site import Site
 from wibam_core.stages.graph import STAGES
 
@@ -46,9 +47,19 @@ def test_make_targets_and_commands_exist(document: Path) -> None:
 
 
 def test_the_example_site_is_one() -> None:
-    (example,) = fenced(ROOT / "docs" / "site-format.md", "json")
+    example, _ = fenced(ROOT / "docs" / "site-format.md", "json")
     site = Site.parse(example)
     assert json.loads(example)["cameras"][0]["id"] == site.cameras[0].id
+
+
+def test_the_labels_example_and_table_are_the_format(tmp_path: Path) -> None:
+    document = ROOT / "docs" / "site-format.md"
+    (tmp_path / "labels.json").write_text(fenced(document, "json")[1])
+    (instant,) = read_labels(tmp_path / "labels.json")
+    assert instant.vehicles.ids.tolist() == [7]
+    table = document.read_text().split("## labels.parquet")[1]
+    named = [name for row in re.findall(r"^\| (`.*?) \|", table, re.MULTILINE) for name in re.findall(r"`(\w+)`", row)]
+    assert named == SCHEMA.names
 
 
 def test_the_stage_table_is_the_graph() -> None:
