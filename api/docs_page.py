@@ -8,7 +8,8 @@ DOCS_PAGE = """<!doctype html>
  pre, code { font: 13px ui-monospace, monospace; background: #f3f4f6; border-radius: 4px; padding: .1em .3em }
  pre { padding: .8em; overflow: auto } h2 { margin-top: 2.2rem; border-bottom: 1px solid #ddd }
  details { margin: .4rem 0; border: 1px solid #e2e4e8; border-radius: 6px; padding: .4rem .7rem }
- summary { cursor: pointer } .method { display: inline-block; width: 5.2em; font-weight: 700; color: #0550ae }
+ summary { cursor: pointer }
+ .method { display: inline-block; min-width: 5.2em; margin-right: .6em; font-weight: 700; color: #0550ae }
  td, th { text-align: left; vertical-align: top; padding: .15rem .9rem .15rem 0 } .muted { color: #6a737d }
 </style></head><body><h1 id="title">WIBAM API</h1><pre id="description"></pre>
 <p><a href="/openapi.json">openapi.json</a></p><main></main>
@@ -28,7 +29,8 @@ fetch("/openapi.json").then(r => r.json()).then(api => {
       const tag = operation.tags?.[0] ?? "other";
       sections[tag] ??= (make("h2", tag, main), make("section", "", main));
       const box = make("details", "", sections[tag]), summary = make("summary", "", box);
-      make("span", method.toUpperCase(), summary).className = "method"; make("code", path, summary);
+      make("span", method.toUpperCase(), summary).className = "method"; summary.append(" ");
+      make("code", path, summary);
       make("span", "  " + (operation.summary ?? ""), summary).className = "muted";
       make("p", operation.description, box);
       const table = make("table", "", box);

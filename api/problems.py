@@ -14,6 +14,7 @@ from pydantic import BaseModel, ConfigDict, Field
 from sqlalchemy.exc import OperationalError
 from starlette.exceptions import HTTPException
 from starlette.responses import JSONResponse
+from starlette.routing import Match
 
 from wibam_core.errors import InputError, ServiceUnavailable, WibamError
 
@@ -36,7 +37,15 @@ STATUS: Mapping[str, int] = {
     "service_unavailable": 503,
     "disk_full": 507,
 }
-_CODE_OF_STATUS = {401: "unauthorised", 404: "not_found", 405: "method_not_allowed", 413: "too_large"}
+_METHODS = ("GET", "HEAD", "POST", "PUT", "PATCH", "DELETE", "OPTIONS")
+_JSON_HINT = "Send JSON in UTF-8, with Content-Type: application/json."
+_CODE_OF_STATUS = {
+    400: "invalid_json",
+    401: "unauthorised",
+    404: "not_found",
+    405: "method_not_allowed",
+    413: "too_large",
+}
 
 
 class Problem(BaseModel):
@@ -122,14 +131,23 @@ async def _validation_error(request: Request, error: Exception) -> JSONResponse:
     field, what = first_problem(errors)
     fields = [{"field": ".".join(map(str, e["loc"])), "problem": e["msg"]} for e in errors[:20]]
     if errors[0]["type"] == "json_invalid":
-        return problem(_coded("invalid_json", "the body is not valid JSON", errors=fields), 400)
+        return problem(_coded("invalid_json", "the body is not valid JSON", _JSON_HINT, errors=fields), 400)
     return problem(InputError(f"{field}: {what}", hint="Correct this field; /docs describes them all.", errors=fields))
 
 
 async def _http_error(request: Request, error: Exception) -> JSONResponse:
     assert isinstance(error, HTTPException)
-    code = _CODE_OF_STATUS.get(error.status_code, "http_error")
-    return problem(_coded(code, str(error.detail)), error.status_code, error.headers)
+    status, message, headers = error.status_code, str(error.detail), dict(error.headers or {})
+    hint = str(getattr(error, "hint", ""))
+    if status == 400:
+        message, hint = "the body cannot be read", _JSON_HINT
+    elif status == 404 and message == HTTPStatus.NOT_FOUND.phrase:
+        message, hint = f"there is nothing at {request.url.path}", "/docs lists all addresses."
+    elif status == 405:
+        allowed = ", ".join(_methods(request))
+        message, hint = f"{request.url.path} does not take {request.method}", f"It takes {allowed}."
+        headers["Allow"] = allowed
+    return problem(_coded(_CODE_OF_STATUS.get(status, "http_error"), message, hint), status, headers)
 
 
 async def _database_error(request: Request, error: Exception) -> JSONResponse:
@@ -141,8 +159,18 @@ async def _unexpected(request: Request, error: Exception) -> JSONResponse:
     return problem(WibamError("something went wrong inside the service", hint="The service's log tells more."), 500)
 
 
-def _coded(code: str, message: str, **details: Any) -> WibamError:
-    return WibamError.from_dict({"code": code, "message": message, "hint": "", "details": details})
+def _methods(request: Request) -> list[str]:
+    """What the address takes, of all routes that lead to it; Starlette names those of the first."""
+
+    def takes(method: str) -> bool:
+        asked = {**request.scope, "method": method}
+        return any(route.matches(asked)[0] is Match.FULL for route in request.app.routes)
+
+    return [method for method in _METHODS if takes(method)]
+
+
+def _coded(code: str, message: str, hint: str, **details: Any) -> WibamError:
+    return WibamError.from_dict({"code": code, "message": message, "hint": hint, "details": details})
 
 
 def _title(status: int) -> str:

@@ -6,6 +6,7 @@ import hashlib
 import hmac
 import time
 from collections.abc import Callable
+from urllib.parse import unquote_to_bytes
 
 from starlette.datastructures import Headers
 from starlette.exceptions import HTTPException
@@ -13,7 +14,7 @@ from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
 from api.problems import problem
 from wibam_core.adapters.settings import token_digest
-from wibam_core.errors import TooLarge, Unauthorised
+from wibam_core.errors import InputError, NotFound, TooLarge, Unauthorised, WibamError
 
 _PROTECTED = "/v1/"
 _UPLOADS = "/v1/uploads/"
@@ -41,13 +42,15 @@ class Gate:
         if self._needs_token(scope) and not self._has_token(headers):
             await problem(Unauthorised("the API token is missing or wrong"))(scope, receive, send)
             return
+        if (senseless := _nul(scope)) is not None:
+            await problem(senseless)(scope, receive, send)
+            return
         if scope["method"] == "PATCH" and scope["path"].startswith(_UPLOADS):
             await self._app(scope, receive, send)
             return
         length = headers.get("content-length", "")
         if length.isdecimal() and int(length) > self._max_body_bytes:
-            error = TooLarge(f"the body is larger than {self._max_body_bytes / 1e6:g} MB")
-            await problem(error)(scope, receive, send)
+            await problem(self._too_large())(scope, receive, send)
             return
         await self._app(scope, self._bounded(receive), send)
 
@@ -67,10 +70,33 @@ class Gate:
             message = await receive()
             received += len(message.get("body", b""))
             if received > self._max_body_bytes:
-                raise HTTPException(413, f"the body is larger than {self._max_body_bytes / 1e6:g} MB")
+                raise _BodyTooLarge(self._too_large())
             return message
 
         return bounded
+
+    def _too_large(self) -> TooLarge:
+        return TooLarge(
+            f"the body is larger than {self._max_body_bytes / 1e6:g} MB",
+            hint="Send files in pieces through /v1/uploads (tus); only they may be larger.",
+        )
+
+
+class _BodyTooLarge(HTTPException):
+    """FastAPI hands HTTP exceptions on from the reading of a body; of all others it makes a 400."""
+
+    def __init__(self, error: TooLarge) -> None:
+        super().__init__(413, error.message)
+        self.hint = error.hint
+
+
+def _nul(scope: Scope) -> WibamError | None:
+    """Why an address with a NUL in it leads nowhere: no id and no parameter has one, and PostgreSQL takes none."""
+    if "\0" in scope["path"]:
+        return NotFound("nothing has an address with a NUL in it", hint="Leave %00 out of the address.")
+    if b"\0" in unquote_to_bytes(scope["query_string"]):
+        return InputError("no parameter has a NUL in it", hint="Leave %00 out of the address.")
+    return None
 
 
 class ReportLinks:

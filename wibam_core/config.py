@@ -8,7 +8,7 @@ from typing import Any, Literal
 import pydantic
 from pydantic import BaseModel, ConfigDict, Field
 
-from wibam_core.errors import UnknownOption
+from wibam_core.errors import InvalidOption, UnknownOption
 
 
 class StageConfig(BaseModel):
@@ -16,7 +16,9 @@ class StageConfig(BaseModel):
 
 
 class PreflightConfig(StageConfig):
-    min_overlap_s: float = Field(5.0, ge=0, description="shortest time that all recordings must share")
+    min_overlap_s: float = Field(
+        5.0, ge=0, description="shortest time that each recording must share with another, once synchronised"
+    )
 
 
 class SyncConfig(StageConfig):
@@ -129,12 +131,14 @@ class PipelineConfig(StageConfig):
         """From nested options, e.g. ``{"finetune": {"steps": 200}}``.
 
         Raises:
-            UnknownOption: naming the first option that does not exist or has a wrong value.
+            UnknownOption: naming the first option that does not exist.
+            InvalidOption: naming the first option that has a wrong value.
         """
         try:
             return cls.model_validate(options)
         except pydantic.ValidationError as error:
             first = error.errors()[0]
             name = ".".join(str(part) for part in first["loc"])
-            problem = "there is no such option" if first["type"] == "extra_forbidden" else first["msg"]
-            raise UnknownOption(f"option {name}: {problem}", option=name) from error
+            if first["type"] == "extra_forbidden":
+                raise UnknownOption(f"option {name}: there is no such option", option=name) from error
+            raise InvalidOption(f"option {name}: {first['msg']}", option=name) from error

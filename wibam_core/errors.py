@@ -67,6 +67,12 @@ class UnknownOption(InputError):
     default_hint = "Look up the options of this stage with `wibam run --show-config`."
 
 
+class InvalidOption(UnknownOption):
+    """An option that exists, with a value that it does not take."""
+
+    code = "invalid_option"
+
+
 class SiteFileError(InputError):
     code = "invalid_site"
 

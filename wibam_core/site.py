@@ -93,6 +93,21 @@ class Site(_Model):
             raise ValueError(f"camera ids must differ (letter case aside): {ids}")
         return self
 
+    def check(self) -> None:
+        """Refuse what no recording can fit; done once, when a description comes in.
+
+        Raises:
+            SiteFileError: the name has a control character, a camera has a focal length that is not positive, or a
+                signal region is empty or lies outside the image.
+        """
+        _check_text(self.name, "the name of the site")
+        for camera in self.cameras:
+            if not isinstance(camera.calibration, HomographyCalibration):
+                _check_focal_length(camera.id, camera.calibration.K)
+            for signal in camera.signals:
+                _check_text(signal.id, f"camera {camera.id}: the id of a signal", camera=camera.id)
+                _check_region(camera, signal)
+
     @property
     def camera_ids(self) -> tuple[str, ...]:
         return tuple(camera.id for camera in self.cameras)
@@ -105,7 +120,7 @@ class Site(_Model):
             SiteFileError: naming the first field that is wrong.
         """
         try:
-            return cls.model_validate_json(text)
+            site = cls.model_validate_json(text)
         except pydantic.ValidationError as error:
             first = error.errors()[0]
             where = ".".join(str(part) for part in first["loc"]) or "the file"
@@ -114,6 +129,8 @@ class Site(_Model):
                 hint="Correct this field; docs/site-format.md describes them all.",
                 errors=[{"field": ".".join(map(str, e["loc"])), "problem": e["msg"]} for e in error.errors()],
             ) from error
+        site.check()
+        return site
 
     @classmethod
     def load(cls, path: Path) -> Site:
@@ -121,3 +138,33 @@ class Site(_Model):
         if not path.is_file():
             raise SiteFileError(f"{path} does not exist", hint="A site folder holds a site.json.")
         return cls.parse(path.read_bytes())
+
+
+def _check_text(text: str, what: str, **details: str) -> None:
+    if any(ord(character) < 32 or ord(character) == 127 for character in text):
+        raise SiteFileError(f"{what}, {text!r}, has a control character", hint="Use plain text.", **details)
+
+
+def _check_focal_length(camera_id: str, K: tuple[Row3, Row3, Row3]) -> None:
+    fx, fy = K[0][0], K[1][1]
+    if fx <= 0 or fy <= 0:
+        raise SiteFileError(
+            f"camera {camera_id}: the focal lengths in K must be positive, not {fx:g} and {fy:g}",
+            hint="K is [[fx, 0, cx], [0, fy, cy], [0, 0, 1]] in pixels of the recording's size.",
+            camera=camera_id,
+        )
+
+
+def _check_region(camera: SiteCamera, signal: SignalRegion) -> None:
+    x, y, width, height = signal.region
+    shown = f"camera {camera.id}, signal {signal.id}: region {x:g},{y:g},{width:g},{height:g}"
+    hint = "Give x, y, width, height in pixels of the recording, around all lamps of one signal head."
+    if width <= 0 or height <= 0:
+        raise SiteFileError(f"{shown} is empty", hint=hint, camera=camera.id, signal=signal.id)
+    if x >= camera.width_px or y >= camera.height_px or x + width <= 0 or y + height <= 0:
+        raise SiteFileError(
+            f"{shown} lies outside the image of {camera.width_px}x{camera.height_px} px",
+            hint=hint,
+            camera=camera.id,
+            signal=signal.id,
+        )

@@ -11,6 +11,7 @@ from fastapi import APIRouter, Depends, Header, Query, Response
 from fastapi.sse import EventSourceResponse, ServerSentEvent
 from starlette.concurrency import run_in_threadpool
 
+from api.parameters import ONLY_KNOWN_PARAMETERS
 from api.problems import documented
 from api.schemas import EventOut, JobIn, JobOut, LogOut, PlannedStageOut, RestartIn
 from api.services import Services, ServicesDep
@@ -38,7 +39,8 @@ def create(
     """Works on the site and its files as they are now; later changes of the site do not touch the job, nor its
     restarts.
 
-    Every camera needs a recording (`missing_camera` otherwise), and every option must exist (`unknown_option`).
+    Every camera needs a recording (`missing_camera` otherwise), every option must exist (`unknown_option`) and have a
+    value that it takes (`invalid_option`).
     """
     site = services.sites.site(site_id)
     files = services.sites.files(site_id)
@@ -56,7 +58,7 @@ def plan(site_id: str, body: JobIn, services: ServicesDep) -> list[PlannedStageO
     return _planned(services, plan_stages(site.site, body.options, services.sites.files(site_id)))
 
 
-@router.get("/jobs", summary="List jobs")
+@router.get("/jobs", summary="List jobs", dependencies=[ONLY_KNOWN_PARAMETERS])
 def list_jobs(
     services: ServicesDep,
     site: Annotated[str | None, Query(description="of this site alone")] = None,
@@ -81,7 +83,8 @@ def cancel(job_id: str, services: ServicesDep) -> JobOut:
 @router.post("/jobs/{job_id}/restart", status_code=202, summary="Restart a job", responses=documented(404, 409, 422))
 def restart(job_id: str, body: RestartIn, services: ServicesDep) -> JobOut:
     """Runs the stages that have no outputs, those whose options changed, and, with `from_stage`, that stage and all
-    that follow from it. The job keeps its files and its id. `POST /v1/jobs/{id}/plan` says beforehand which.
+    that follow from it. Where there are none, it succeeds again at once. The job keeps its files and its id.
+    `POST /v1/jobs/{id}/plan` says beforehand which stages would run.
     """
     options, plan = _restart_plan(services, job_id, body)
     job, ready = services.jobs.restart(job_id, options, plan, body.from_stage)

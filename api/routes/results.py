@@ -15,6 +15,7 @@ from fastapi import APIRouter, Query
 from pydantic import Field
 from starlette.responses import FileResponse, JSONResponse, Response, StreamingResponse
 
+from api.parameters import ONLY_KNOWN_PARAMETERS
 from api.problems import documented
 from api.schemas import ArtifactOut, ReportLinkOut, TracksOut
 from api.security import ReportLinks
@@ -65,6 +66,7 @@ def model(job_id: str, services: ServicesDep) -> FileResponse:
 @router.get(
     "/tracks",
     summary="7DoF tracks",
+    dependencies=[ONLY_KNOWN_PARAMETERS],
     responses={
         200: {
             "model": TracksOut,
@@ -117,6 +119,7 @@ def tracks(
 @router.get(
     "/conflicts",
     summary="Conflicts between road users",
+    dependencies=[ONLY_KNOWN_PARAMETERS],
     responses={200: {"content": {"application/json": {}, "text/csv": {}}}},
 )
 def conflicts(job_id: str, services: ServicesDep, format: Literal["json", "csv"] = "json") -> Response:

@@ -20,6 +20,7 @@ router = APIRouter(prefix="/v1/sites", tags=["sites"], responses=documented(401)
 @router.post("", status_code=201, summary="Describe a site", responses=documented(413, 422))
 def create(site: Site, services: ServicesDep) -> SiteOut:
     """The body is the same document as the ``site.json`` of a site folder: cameras, calibration, signal regions."""
+    site.check()
     return SiteOut.of(services.sites.add_site(site))
 
 
@@ -42,6 +43,7 @@ def replace(site_id: str, site: Site, services: ServicesDep) -> SiteOut:
     Jobs keep the description that they were created with, even when they are restarted: create a new job to use this
     one. It reuses the stages that the change does not touch.
     """
+    site.check()
     return SiteOut.of(services.sites.replace_site(site_id, site))
 
 

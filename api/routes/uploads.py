@@ -219,6 +219,8 @@ def _request(length: int, header: str) -> UploadRequest:
         raise InputError(
             f"no purpose {metadata['purpose']!r}", hint=f"Use one of {', '.join(purpose.value for purpose in Purpose)}."
         ) from None
+    if any("\0" in value for value in metadata.values()):
+        raise InputError("Upload-Metadata: a value has a NUL in it", hint="Leave it out.")
     if "site" not in metadata:
         raise InputError("Upload-Metadata names no site", hint="Send the site's id as 'site'.")
     camera, filename = metadata.get("camera", ""), metadata.get("filename", "")

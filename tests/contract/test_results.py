@@ -116,9 +116,36 @@ class TestTracks:
         response = api.http.get(f"/v1/jobs/{job}/tracks", params=params)
         assert response.status_code == 422, response.text
         assert response.json()["code"] == "invalid_input"
+        assert response.json()["hint"]
+
+    @pytest.mark.parametrize("path", ["tracks", "conflicts"])
+    def test_a_parameter_that_does_not_exist_is_named(self, api: LiveApi, job: str, path: str) -> None:
+        response = api.http.get(f"/v1/jobs/{job}/{path}", params={"format": "json", "min_sped_mps": 3})
+        assert response.status_code == 422, response.text
+        assert response.json()["details"] == {"parameter": "min_sped_mps"}
+        assert "'min_sped_mps'" in response.json()["detail"]
+        assert "format" in response.json()["hint"]
+
+    def test_of_the_list_of_jobs_too(self, api: LiveApi) -> None:
+        assert api.http.get("/v1/jobs", params={"sites": "x"}).status_code == 422
+
+
+def test_a_restart_with_nothing_to_redo_leaves_the_job_succeeded(api: LiveApi, job: str) -> None:
+    response = api.http.post(f"/v1/jobs/{job}/restart", json={})
+    assert response.status_code == 202, response.text
+    assert response.json()["state"] == "succeeded"
+    assert api.http.get(f"/v1/jobs/{job}/metrics").status_code == 200
 
 
 class TestFiles:
+    @pytest.mark.parametrize(
+        ("artifact", "hint"), [("evaluate/nothing.json", "/artifacts lists"), ("cooking/x", "Its stages are preflight")]
+    )
+    def test_one_that_is_not_there(self, api: LiveApi, job: str, artifact: str, hint: str) -> None:
+        response = api.http.get(f"/v1/jobs/{job}/artifacts/{artifact}")
+        assert response.status_code == 404
+        assert hint in response.json()["hint"]
+
     def test_the_model_says_what_it_is(self, api: LiveApi, job: str) -> None:
         response = api.http.get(f"/v1/jobs/{job}/model")
         assert response.content == bytes(range(256)) * 4

@@ -12,6 +12,7 @@ import pytest
 from tests.builders import corner_rig, site_of
 from tests.service import LiveApi
 from wibam_core.adapters.job_rows import StageKey
+from wibam_core.site import Site
 from wibam_core.stages.graph import STAGES
 
 SITE = site_of(corner_rig(2)).model_dump(mode="json")
@@ -87,15 +88,54 @@ class TestSites:
 
     def test_what_is_no_json_or_too_much(self, api: LiveApi) -> None:
         headers = {"Content-Type": "application/json"}
-        assert_problem(api.http.post("/v1/sites", content=b"{", headers=headers), 400, "invalid_json")
-        assert_problem(api.http.post("/v1/sites", content=b" " * 4_000_001, headers=headers), 413, "too_large")
+        for undecodable in (b"{", b'{"name": "\xff"}'):
+            body = assert_problem(api.http.post("/v1/sites", content=undecodable, headers=headers), 400, "invalid_json")
+            assert "UTF-8" in body["hint"]
         chunks = (b" " * 100_000 for _ in range(50))
-        assert_problem(api.http.post("/v1/sites", content=chunks, headers=headers), 413, "too_large")
+        for large in (b" " * 4_000_001, chunks):
+            body = assert_problem(api.http.post("/v1/sites", content=large, headers=headers), 413, "too_large")
+            assert "/v1/uploads" in body["hint"]
 
     def test_unknown_paths_and_methods(self, api: LiveApi) -> None:
-        assert_problem(api.http.get("/v1/nothing"), 404, "not_found")
-        assert_problem(api.http.put("/v1/sites"), 405, "method_not_allowed")
-        assert_problem(api.http.get("/v1/sites/site_0000000000000000"), 404, "not_found")
+        body = assert_problem(api.http.get("/v1/nothing"), 404, "not_found")
+        assert "/v1/nothing" in body["detail"]
+        assert "/docs" in body["hint"]
+        refused = api.http.put("/v1/sites")
+        body = assert_problem(refused, 405, "method_not_allowed")
+        assert body["hint"] == "It takes GET, POST."
+        assert refused.headers["allow"] == "GET, POST"
+        body = assert_problem(api.http.get("/v1/sites/site_0000000000000000"), 404, "not_found")
+        assert "List the sites" in body["hint"]
+
+    def test_a_nul_leads_nowhere(self, api: LiveApi, ready_site: str) -> None:
+        body = assert_problem(api.http.get("/v1/jobs/a%00b"), 404, "not_found")
+        assert "%00" in body["hint"]
+        assert_problem(api.http.get("/v1/jobs?site=a%00b"), 422, "invalid_input")
+        assert_problem(api.begin(f"{ready_site}\0", 10), 422, "invalid_input")
+        for place in ("name", "signal"):
+            wrong = json.loads(json.dumps(SITE))
+            if place == "name":
+                wrong["name"] = "a\0b"
+            else:
+                wrong["cameras"][0]["signals"] = [{"id": "a\0b", "region": [1, 2, 3, 4]}]
+            assert_problem(api.http.post("/v1/sites", json=wrong), 422, "invalid_site")
+
+    def test_what_no_recording_can_fit_is_refused_at_once(self, api: LiveApi, ready_site: str) -> None:
+        before = api.http.get(f"/v1/sites/{ready_site}").json()
+        wrong = json.loads(json.dumps(SITE))
+        wrong["cameras"][1]["signals"] = [{"id": "left", "region": [10, 20, -5, 40]}]
+        for refused in (api.http.post("/v1/sites", json=wrong), api.http.put(f"/v1/sites/{ready_site}", json=wrong)):
+            body = assert_problem(refused, 422, "invalid_site")
+            assert body["details"] == {"camera": "cam2", "signal": "left"}
+            assert "camera cam2, signal left" in body["detail"]
+            assert body["hint"]
+        assert api.http.get(f"/v1/sites/{ready_site}").json() == before
+
+    def test_that_were_let_in_before_are_still_shown(self, api: LiveApi) -> None:
+        wrong = json.loads(json.dumps(SITE))
+        wrong["cameras"][0]["signals"] = [{"id": "left", "region": [10, 20, 0, 0]}]
+        kept = api.services.sites.add_site(Site.model_validate(wrong))
+        assert kept.id in {site["id"] for site in api.http.get("/v1/sites").json()}
 
     def test_are_kept_while_they_have_jobs(self, api: LiveApi, ready_site: str) -> None:
         job = api.http.post(f"/v1/sites/{ready_site}/jobs", json={}).json()["id"]
@@ -177,19 +217,20 @@ class TestCreatingJobs:
         assert "Upload a recording" in body["hint"]
 
     @pytest.mark.parametrize(
-        ("options", "name"),
+        ("options", "wrong", "name"),
         [
-            ({"finetune": {"stepz": 1}}, "finetune.stepz"),
-            ({"cooking": {}}, "cooking"),
-            ({"finetune": {"steps": -1}}, "finetune.steps"),
-            ({"finetune": "fast"}, "finetune"),
-            ({"finetune": {"seed": -1}}, "finetune.seed"),
-            ({"finetune": {"seed": 10**40}}, "finetune.seed"),
+            ({"finetune": {"stepz": 1}}, "unknown", "finetune.stepz"),
+            ({"cooking": {}}, "unknown", "cooking"),
+            ({"finetune": {"steps": -1}}, "invalid", "finetune.steps"),
+            ({"finetune": {"steps": "abc"}}, "invalid", "finetune.steps"),
+            ({"finetune": "fast"}, "invalid", "finetune"),
+            ({"finetune": {"seed": -1}}, "invalid", "finetune.seed"),
+            ({"finetune": {"seed": 10**40}}, "invalid", "finetune.seed"),
         ],
     )
-    def test_an_unknown_option_is_named(self, api: LiveApi, ready_site: str, options: dict, name: str) -> None:
+    def test_a_wrong_option_is_named(self, api: LiveApi, ready_site: str, options: dict, wrong: str, name: str) -> None:
         response = api.http.post(f"/v1/sites/{ready_site}/jobs", json={"options": options})
-        body = assert_problem(response, 422, "unknown_option")
+        body = assert_problem(response, 422, f"{wrong}_option")
         assert body["details"]["option"] == name
         assert body["hint"]
 
@@ -339,6 +380,13 @@ class TestOpenApi:
         text = json.dumps(document)
         for name in set(re.findall(r"#/components/schemas/([^\"]+)", text)):
             assert name in document["components"]["schemas"], name
+
+    def test_the_longest_method_does_not_run_into_its_path(self, api: LiveApi) -> None:
+        page = httpx.get(f"{api.url}/docs").text
+        [style] = re.findall(r"\.method \{([^}]*)\}", page)
+        assert re.search(r"(^|;)\s*width:", style) is None, "a fixed width is overrun"
+        assert "margin-right" in style
+        assert 'summary.append(" ")' in page
 
     def test_the_page_loads_nothing_from_elsewhere(self, api: LiveApi) -> None:
         page = httpx.get(f"{api.url}/docs").text

@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import json
+from pathlib import Path
 
 import pytest
 
-from tests.builders import site_of
+from tests.builders import corner_rig, site_of
 from wibam_core.errors import SiteFileError
 from wibam_core.site import Site
+from wibam_core.stages.runner import SiteFolder
 
 
 def test_a_site_survives_json() -> None:
@@ -33,6 +35,48 @@ def test_the_first_wrong_field_is_named(change, words: str) -> None:  # type: ig
     change(data)
     with pytest.raises(SiteFileError, match=words):
         Site.parse(json.dumps(data))
+
+
+def _signal(*region: float) -> dict[str, object]:
+    return {"id": "left", "region": region}
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        (lambda s: s["cameras"][1].update(signals=[_signal(10, 10, 0, 5)]), "camera cam2, signal left: .* is empty"),
+        (lambda s: s["cameras"][1].update(signals=[_signal(10, 10, 5, -5)]), "camera cam2, signal left: .* is empty"),
+        (lambda s: s["cameras"][1].update(signals=[_signal(640, 10, 5, 5)]), "signal left: .* outside .* 640x360"),
+        (lambda s: s["cameras"][1].update(signals=[_signal(10, 400, 5, 5)]), "signal left: .* outside"),
+        (lambda s: s["cameras"][1].update(signals=[_signal(-10, 10, 10, 5)]), "signal left: .* outside"),
+        (lambda s: s["cameras"][0]["calibration"]["K"][0].__setitem__(0, 0.0), "camera cam1: .* not 0 and 500"),
+        (lambda s: s["cameras"][0]["calibration"]["K"][1].__setitem__(1, -7.0), "camera cam1: .* not 500 and -7"),
+        (lambda s: s.update(name="a\0b"), "control character"),
+    ],
+)
+def test_what_no_recording_can_fit_is_refused(change, words: str) -> None:  # type: ignore[no-untyped-def]
+    data = json.loads(site_of().model_dump_json())
+    change(data)
+    with pytest.raises(SiteFileError, match=words) as refused:
+        Site.parse(json.dumps(data))
+    assert refused.value.hint
+
+
+def test_a_region_that_ends_beyond_the_image_is_fine() -> None:
+    data = json.loads(site_of().model_dump_json())
+    data["cameras"][0]["signals"] = [_signal(630, 350, 20, 20), _signal(-5, -5, 10, 20)]
+    assert len(Site.parse(json.dumps(data)).cameras[0].signals) == 2
+
+
+def test_two_recordings_of_a_camera_are_both_named(tmp_path: Path) -> None:
+    (tmp_path / "site.json").write_text(site_of(corner_rig(2)).model_dump_json())
+    (tmp_path / "recordings").mkdir()
+    for name in ("cam1.mp4", "cam2.mp4", "cam2.mov"):
+        (tmp_path / "recordings" / name).write_bytes(b"x")
+    with pytest.raises(SiteFileError, match=r"camera cam2 .*: cam2\.mov, cam2\.mp4"):
+        SiteFolder.load(tmp_path)
+    (tmp_path / "recordings" / "cam2.mov").unlink()
+    assert SiteFolder.load(tmp_path).recordings["cam2"].name == "cam2.mp4"
 
 
 def test_text_that_is_no_json_is_refused() -> None:

@@ -233,7 +233,7 @@ def _unchanged_since(path: Path, limit: float) -> bool:
 
 def _plain(name: str) -> str:
     if not _ID.fullmatch(name):
-        raise NotFound(f"there is nothing with the id {name!r}")
+        raise NotFound(f"there is nothing with the id {name!r}", hint="Ids are listed by /v1/sites and /v1/jobs.")
     return name
 
 

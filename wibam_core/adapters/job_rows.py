@@ -12,7 +12,7 @@ from wibam_core.adapters import records
 from wibam_core.adapters.models import EventRow, FileRow, JobFileRow, JobRow, StageRow
 from wibam_core.errors import NotFound
 from wibam_core.jobs.machine import Settlement, StageNode, check_job_move, check_stage_move, settle
-from wibam_core.jobs.records import EventKind, Job
+from wibam_core.jobs.records import EventKind, Job, StoredFile
 from wibam_core.jobs.states import JobState, StageState
 
 
@@ -45,13 +45,18 @@ def stage_rows(session: Session, job_id: str) -> list[StageRow]:
 
 def job_record(session: Session, row: JobRow) -> Job:
     """The whole job."""
-    files = session.scalars(
+    return records.job(row, job_files(session, row.id), stage_rows(session, row.id))
+
+
+def job_files(session: Session, job_id: str) -> list[StoredFile]:
+    """The files that a job works on."""
+    rows = session.scalars(
         select(FileRow)
         .join(JobFileRow, JobFileRow.file_id == FileRow.id)
-        .where(JobFileRow.job_id == row.id)
+        .where(JobFileRow.job_id == job_id)
         .order_by(FileRow.purpose, FileRow.camera_id)
     )
-    return records.job(row, files, stage_rows(session, row.id))
+    return [records.stored_file(row) for row in rows]
 
 
 def nodes(stages: Sequence[StageRow]) -> list[StageNode]:
@@ -72,8 +77,8 @@ def move_job(
     """Change a job's state, and tell."""
     check_job_move(JobState(job.state), state)
     job.state = state.value
-    if state is JobState.RUNNING:
-        job.started_at = now
+    if state is JobState.RUNNING or (state is JobState.SUCCEEDED and job.started_at is None):
+        job.started_at = now  # the second: there was nothing to do
     if state.is_terminal:
         job.finished_at = now
     if error is not None:

@@ -70,7 +70,7 @@ class JobStore:
         now = self._now()
         with self._database.writing(exclusive=True) as session:
             if session.get(SiteRow, site.id) is None:
-                raise NotFound(f"there is no site {site.id}")
+                raise NotFound(f"there is no site {site.id}", hint="List the sites to see their ids.")
             if idempotency_key is not None:
                 before = _job_of_key(session, site.id, idempotency_key, options)
                 if before is not None:
@@ -130,7 +130,7 @@ class JobStore:
         self, job_id: str, options: Mapping[str, Any], plan: Sequence[StagePlan], from_stage: str | None = None
     ) -> tuple[Job, list[StageKey]]:
         """Let a job run again: the stages without outputs, those whose address changed, and, where ``from_stage`` is
-        given, that stage and all that follow from it.
+        given, that stage and all that follow from it. Where there are none, the job succeeds at once.
 
         Raises:
             NotFound: there is no such job.

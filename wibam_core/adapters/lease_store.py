@@ -12,8 +12,9 @@ from sqlalchemy.orm import Session
 
 from wibam_core.adapters import records
 from wibam_core.adapters.database import Database
-from wibam_core.adapters.job_rows import StageKey, add_event, move_job, move_stage, settle_job
+from wibam_core.adapters.job_rows import StageKey, add_event, job_files, move_job, move_stage, settle_job
 from wibam_core.adapters.models import JobRow, StageRow
+from wibam_core.adapters.naming import in_users_words
 from wibam_core.errors import StageCrashed, WibamError
 from wibam_core.jobs.leases import Claim, Heartbeat, LeasePolicy
 from wibam_core.jobs.records import EventKind
@@ -161,12 +162,12 @@ class LeaseStore:
             return self._end(session, job, stage, state, summary=stage.summary)
 
     def fail(self, claim: Claim, error: WibamError) -> list[StageKey]:
-        """The stage failed. Raises:
+        """The stage failed. The error is kept in the user's words: see `wibam_core.adapters.naming`. Raises:
         LostLease: the stage is no longer this worker's.
         """
         with self._database.writing() as session:
             job, stage = _held_rows(session, claim)
-            stage.error = records.plain_json(error.to_dict())
+            stage.error = records.plain_json(in_users_words(error.to_dict(), job_files(session, job.id)))
             return self._end(session, job, stage, StageState.FAILED, error=stage.error)
 
     def stopped(self, claim: Claim) -> list[StageKey]:

@@ -17,7 +17,8 @@ def plan_stages(site: Site, options: Mapping[str, Any], files: Sequence[StoredFi
     """All stages of a job, with the addresses of their outputs.
 
     Raises:
-        UnknownOption: naming the first option that does not exist or has a wrong value.
+        UnknownOption: naming the first option that does not exist.
+        InvalidOption: naming the first option that has a wrong value.
         MissingCamera: a camera has no recording.
         InputError: the options ask for a file that was not uploaded.
     """

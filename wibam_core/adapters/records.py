@@ -36,8 +36,13 @@ def plain_json(value: Any) -> Any:
     return value
 
 
+def _kept_site(document: str) -> Site:
+    """A site as it was let in; an earlier version may have checked less."""
+    return Site.model_validate_json(document)
+
+
 def site_record(row: SiteRow) -> SiteRecord:
-    return SiteRecord(row.id, Site.parse(row.document), row.created_at)
+    return SiteRecord(row.id, _kept_site(row.document), row.created_at)
 
 
 def stored_file(row: FileRow) -> StoredFile:
@@ -91,13 +96,13 @@ def stage_run(row: StageRow) -> StageRun:
     )
 
 
-def job(row: JobRow, files: Iterable[FileRow], stages: Iterable[StageRow]) -> Job:
+def job(row: JobRow, files: Iterable[StoredFile], stages: Iterable[StageRow]) -> Job:
     return Job(
         id=row.id,
         site_id=row.site_id,
-        site=Site.parse(row.site_document),
+        site=_kept_site(row.site_document),
         options=row.options,
-        files=tuple(stored_file(file) for file in files),
+        files=tuple(files),
         stages=tuple(stage_run(stage) for stage in stages),
         state=JobState(row.state),
         created_at=row.created_at,

@@ -54,7 +54,8 @@ class JobResults:
         """
         stage = job.stage(stage_name)
         if stage is None:
-            raise NotFound(f"job {job.id} has no stage {stage_name!r}")
+            names = ", ".join(stage.name for stage in job.stages)
+            raise NotFound(f"job {job.id} has no stage {stage_name!r}", hint=f"Its stages are {names}.")
         if not stage.state.has_outputs:
             raise Conflict(
                 f"the stage {stage_name} of job {job.id} is {stage.state}",
@@ -66,7 +67,10 @@ class JobResults:
             raise NotFound(f"the outputs of {stage_name} are gone", hint=f"Restart the job from {stage_name}.")
         files = self._files(stage_name, stage.hash)
         if name not in files:
-            raise NotFound(f"the stage {stage_name} of job {job.id} wrote no {name!r}")
+            raise NotFound(
+                f"the stage {stage_name} of job {job.id} wrote no {name!r}",
+                hint=f"GET /v1/jobs/{job.id}/artifacts lists all files.",
+            )
         return self._artifact(stage_name, stage.hash, name, files[name])
 
     def document(self, job: Job, stage_name: str, name: str) -> Any:

@@ -130,7 +130,7 @@ class SiteStore:
         with self._database.writing() as session:
             row = session.get(FileRow, file_id)
             if row is None or row.site_id != site_id or row.retired_at is not None:
-                raise NotFound(f"site {site_id} has no file {file_id}")
+                raise NotFound(f"site {site_id} has no file {file_id}", hint="List its recordings to see their ids.")
             row.retired_at = self._now()
 
     def purge_files(self) -> list[str]:

@@ -17,6 +17,8 @@ from wibam_core.scene import VehicleClass
 
 _MOST_CORNERS = 100
 _BATCH_ROWS = 20_000
+_BOUNDS = "x_min,y_min,x_max,y_max in m, for example -10,-10,10,10"
+_POLYGON = "corners x1,y1;x2,y2;x3,y3 in m, for example 0,0;10,0;10,10"
 Point = tuple[float, float]
 
 
@@ -44,11 +46,13 @@ class TrackQuery:
 
     def __post_init__(self) -> None:
         if self.bounds is not None and not (self.bounds[0] < self.bounds[2] and self.bounds[1] < self.bounds[3]):
-            raise InputError("the bounds are empty", hint="Give x min, y min, x max, y max, in metres.")
+            raise InputError("the bounds are empty", hint=f"Give {_BOUNDS}.")
         if self.polygon and not 3 <= len(self.polygon) <= _MOST_CORNERS:
-            raise InputError(f"a polygon has 3 to {_MOST_CORNERS} corners, not {len(self.polygon)}")
+            raise InputError(
+                f"a polygon has 3 to {_MOST_CORNERS} corners, not {len(self.polygon)}", hint=f"Give {_POLYGON}."
+            )
         if self.limit is not None and self.limit < 1:
-            raise InputError("the limit must be at least 1")
+            raise InputError("the limit must be at least 1", hint="Leave it out for all states.")
 
 
 def parse_bounds(text: str) -> tuple[float, float, float, float]:
@@ -57,9 +61,9 @@ def parse_bounds(text: str) -> tuple[float, float, float, float]:
     Raises:
         InputError: it is not four numbers.
     """
-    numbers = _numbers(text, "bounds")
+    numbers = _numbers(text, "bounds", _BOUNDS)
     if len(numbers) != 4:
-        raise InputError(f"bounds are four numbers, not {len(numbers)}", hint="Give x min, y min, x max, y max in m.")
+        raise InputError(f"bounds are four numbers, not {len(numbers)}", hint=f"Give {_BOUNDS}.")
     return (numbers[0], numbers[1], numbers[2], numbers[3])
 
 
@@ -69,9 +73,9 @@ def parse_polygon(text: str) -> tuple[Point, ...]:
     Raises:
         InputError: it is not a list of points.
     """
-    corners = [_numbers(corner, "polygon") for corner in text.split(";")]
+    corners = [_numbers(corner, "polygon", _POLYGON) for corner in text.split(";")]
     if any(len(corner) != 2 for corner in corners):
-        raise InputError("every corner of a polygon is two numbers", hint="For example 0,0;10,0;10,10.")
+        raise InputError("every corner of a polygon is two numbers", hint=f"Give {_POLYGON}.")
     return tuple((corner[0], corner[1]) for corner in corners)
 
 
@@ -151,11 +155,11 @@ def _marks(items: tuple[Any, ...]) -> str:
     return ", ".join("?" * len(items))
 
 
-def _numbers(text: str, what: str) -> list[float]:
+def _numbers(text: str, what: str, form: str) -> list[float]:
     try:
         numbers = [float(part) for part in text.split(",")]
     except ValueError:
-        raise InputError(f"{what}: {text!r} is not a list of numbers") from None
+        raise InputError(f"{what}: {text!r} is not a list of numbers", hint=f"Give {form}.") from None
     if not all(abs(number) < 1e9 for number in numbers):
-        raise InputError(f"{what}: {text!r} has numbers out of range")
+        raise InputError(f"{what}: {text!r} has numbers out of range", hint=f"Give {form}.")
     return numbers

@@ -18,7 +18,7 @@ def main() -> None:
         app(standalone_mode=True)
     except WibamError as error:
         console = Console(stderr=True)
-        console.print(f"[red]{escape(error.message)}[/] [dim]({error.code})[/]", highlight=False)
+        console.print(f"[red]{escape(error.message)}[/] [dim]({error.code})[/]", highlight=False, soft_wrap=True)
         if error.hint:
-            console.print(escape(error.hint), highlight=False)
+            console.print(escape(error.hint), highlight=False, soft_wrap=True)  # commands in it can be copied
         sys.exit(1)

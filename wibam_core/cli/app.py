@@ -11,6 +11,7 @@ from wibam_core.cli.run import run
 from wibam_core.cli.serve import serve
 from wibam_core.cli.signals import signals
 from wibam_core.cli.simulate import simulate
+from wibam_core.cli.sites import sites
 from wibam_core.cli.track import track
 from wibam_core.cli.tracks import tracks
 from wibam_core.cli.upload import upload
@@ -22,6 +23,6 @@ app = typer.Typer(
     pretty_exceptions_enable=False,
     add_completion=False,
 )
-for command in (demo, run, serve, upload, tracks, simulate, detect, signals, track):
+for command in (demo, run, serve, upload, sites, tracks, simulate, detect, signals, track):
     app.command()(command)
 app.add_typer(jobs.app, name="jobs")

@@ -2,16 +2,19 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from types import TracebackType
 from typing import Any
 
 from rich.console import Console
+from rich.measure import Measurement
 from rich.progress import BarColumn, Progress, TaskID, TextColumn, TimeElapsedColumn
+from rich.table import Table
 
 from wibam_core.stages.graph import STAGES
 
+_UNLIMITED = 10_000  # columns
 _MARKS = {
     "pending": "[dim]·[/]",
     "running": "[cyan]▶[/]",
@@ -20,6 +23,25 @@ _MARKS = {
     "failed": "[red]✗[/]",
     "cancelled": "[yellow]■[/]",
 }
+
+
+def list_table(*ids: str, others: Sequence[str]) -> Table:
+    """A table without lines, for `print_list`: columns of ids, which are never broken, then others."""
+    table = Table(box=None, pad_edge=False, collapse_padding=True)
+    for title in ids:
+        table.add_column(title, no_wrap=True)
+    for title in others:
+        table.add_column(title)
+    return table
+
+
+def print_list(console: Console, table: Table) -> None:
+    """Print a table with its ids whole, however narrow the terminal is; in a pipe or a file each row is one line."""
+    needed = Measurement.get(console, console.options.update(width=_UNLIMITED), table)
+    width = needed.minimum if console.is_terminal else needed.maximum
+    if width > console.width or not console.is_terminal:
+        table.width = width
+    console.print(table, crop=False, soft_wrap=False)
 
 
 @dataclass

@@ -311,7 +311,8 @@ def _listen(host: str, port: int) -> socket.socket:
     except socket.gaierror as error:
         raise InputError(f"{host} is no address of this machine", hint="Try --host 127.0.0.1.") from error
     except OSError as error:
-        raise Conflict(f"cannot listen on {host}:{port}: {error.strerror}", hint="Choose another --port.") from error
+        reason = os.strerror(error.errno) if error.errno else str(error)  # its own words repeat the address
+        raise Conflict(f"cannot listen on {host}:{port}: {reason}", hint="Choose another --port.") from error
 
 
 def _wait_for_socket(path: Path, family: _Family) -> None:

@@ -10,6 +10,7 @@ from rich.console import Console
 from rich.markup import escape
 from rich.table import Table
 
+from wibam_core.cli.display import list_table, print_list
 from wibam_core.cli.run import parse_options
 from wibam_core.cli.service import DEFAULT_URL, JobDisplay, Token, Url, connect
 from wibam_core.cli.service import watch as watch_job
@@ -26,13 +27,18 @@ def list_jobs(
     site: Annotated[str | None, typer.Option(help="Of this site alone.")] = None,
 ) -> None:
     """List jobs, the newest first."""
-    table = Table("job", "site", "state", "done", "stage", "created")
+    table = list_table("job", "site", others=("state", "done", "created (UTC)", "stage"))
     with connect(url, token) as client:
         for job in client.jobs(site):
             table.add_row(
-                job.id, job.site_id, job.state.value, f"{job.fraction:.0%}", _current_stage(job), job.created_at[:19]
+                job.id,
+                job.site_id,
+                job.state.value,
+                f"{job.fraction:.0%}",
+                job.created_at[:16].replace("T", " "),
+                _current_stage(job),
             )
-    Console().print(table)
+    print_list(Console(), table)
 
 
 @app.command()

@@ -11,7 +11,7 @@ from rich.console import Console
 
 from wibam_core.cli.display import StageDisplay
 from wibam_core.config import PipelineConfig
-from wibam_core.errors import UnknownOption
+from wibam_core.errors import InvalidOption
 from wibam_core.stages.graph import STAGES, downstream, plan
 from wibam_core.stages.runner import SiteFolder, StageUpdate, run_pipeline
 from wibam_core.stages.store import StageStore
@@ -21,14 +21,14 @@ def parse_options(assignments: list[str]) -> dict[str, Any]:
     """``["finetune.steps=200", "sync.method=none"]`` as nested options; values are JSON or plain text.
 
     Raises:
-        UnknownOption: if an assignment has no stage, no name or no value.
+        InvalidOption: if an assignment has no stage, no name or no value.
     """
     options: dict[str, Any] = {}
     for assignment in assignments:
         name, equals, text = assignment.partition("=")
         stage, dot, key = name.partition(".")
         if not (equals and dot and key):
-            raise UnknownOption(f"{assignment!r} is not of the form stage.option=value", option=assignment)
+            raise InvalidOption(f"{assignment!r} is not of the form stage.option=value", option=assignment)
         try:
             value = json.loads(text)
         except json.JSONDecodeError:

@@ -2,15 +2,17 @@
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
 from typing import Annotated
 
 import pydantic
 import typer
 from rich.console import Console
+from rich.markup import escape
 from rich.progress import Progress, TimeElapsedColumn
 
-from wibam_core.errors import UnknownOption
+from wibam_core.errors import InvalidOption
 from wibam_core.synthetic.options import SimulationOptions
 from wibam_core.synthetic.recorder import record_site
 
@@ -44,6 +46,7 @@ def simulate(
     drop_rate: Annotated[float, typer.Option(help="Share of frames that are lost.")] = _DEFAULTS.drop_rate,
     label_rate: Annotated[float, typer.Option(help="True boxes per second.")] = _DEFAULTS.label_rate_hz,
     workers: Annotated[int, typer.Option(help="Processes that render.")] = _DEFAULTS.workers,
+    force: Annotated[bool, typer.Option("--force", help="Overwrite the site that the folder holds.")] = False,
 ) -> None:
     """Record a simulated intersection: video files, calibration, and the exact truth."""
     values = {
@@ -69,8 +72,9 @@ def simulate(
         options = SimulationOptions.model_validate(values)
     except pydantic.ValidationError as error:
         first = error.errors()[0]
-        name = str(first["loc"][0]) if first["loc"] else "options"
-        raise UnknownOption(f"{name}: {first['msg']}", hint="See `wibam simulate --help`.", option=name) from error
+        field = str(first["loc"][0]) if first["loc"] else ""
+        name = _option_name(field) if field else "the options"
+        raise InvalidOption(f"{name}: {first['msg']}", hint="See `wibam simulate --help`.", option=name) from error
     console = Console()
     with Progress(
         *Progress.get_default_columns(), TimeElapsedColumn(), console=console, disable=not console.is_terminal
@@ -80,5 +84,12 @@ def simulate(
         def show(fraction: float, message: str = "", **_: float) -> None:
             display.update(task, completed=fraction, description=message or "simulating")
 
-        site = record_site(site_dir, options, show)
-    console.print(f"{site.name}: {len(site.cameras)} recordings in {site_dir}", highlight=False)
+        site = record_site(site_dir, options, show, overwrite=force)
+    found = f"{site.name}: {len(site.cameras)} recordings in {site_dir}"
+    console.print(escape(found), highlight=False, soft_wrap=True)
+
+
+def _option_name(field: str) -> str:
+    """What a person types for a field of `SimulationOptions`, e.g. ``--cycle`` for ``cycle_s``."""
+    name = "density" if field == "traffic_density" else re.sub("_(s|px|ppm|hz)$", "", field)
+    return "--" + name.replace("_", "-")

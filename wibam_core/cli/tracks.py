@@ -8,6 +8,7 @@ from typing import Annotated
 
 import typer
 from rich.console import Console
+from rich.markup import escape
 
 from wibam_core.cli.service import DEFAULT_URL, Token, Url, connect
 from wibam_core.scene import VehicleClass
@@ -50,7 +51,7 @@ def tracks(
             track_id=list(track or []),
             min_speed_mps=min_speed,
         )
-    Console().print(f"[bold]{target}[/]", highlight=False)
+    Console().print(f"[bold]{escape(str(target))}[/]", highlight=False, soft_wrap=True)
 
 
 def _ns(seconds: float | None) -> int | None:

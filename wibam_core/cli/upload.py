@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import shlex
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Annotated
 
@@ -12,6 +15,8 @@ from rich.progress import BarColumn, DownloadColumn, Progress, TextColumn, Trans
 from wibam_core.cli.run import parse_options
 from wibam_core.cli.service import DEFAULT_URL, Token, Url, connect, watch
 from wibam_core.client import FileView, UploadProgress, WibamClient
+from wibam_core.config import PipelineConfig
+from wibam_core.errors import WibamError
 from wibam_core.jobs.records import Purpose
 from wibam_core.stages.runner import SiteFolder
 from wibam_core.stages.store import sha256_of
@@ -31,24 +36,41 @@ def upload(
     """Send a site and its files to a service. A broken connection is taken up where it broke."""
     console = Console()
     options = parse_options(option or [])
+    PipelineConfig.parse(options)  # before hours of sending
     folder = SiteFolder.load(site_dir)
     with connect(url, token) as client:
-        site_id = send_site(client, folder, console, site)
+        site_id = _describe(client, folder, site)
+        console.print(site_id, highlight=False)
+        try:
+            _send_files(client, folder, console, site_id, anew=site is None)
+        except WibamError as error:
+            raise _with_continuation(error, site_dir, site_id) from error
         if not run:
-            console.print(site_id, highlight=False)
             return
         job = client.create_job(site_id, options)
-        console.print(f"site {site_id}, job {job.id}", highlight=False)
+        console.print(f"job {job.id}", highlight=False)
         watch(client, job.id, console)
 
 
-def send_site(client: WibamClient, folder: SiteFolder, console: Console, site_id: str | None = None) -> str:
-    """Describe the site and upload its files, showing how that goes; returns the site's id.
+def send_site(client: WibamClient, folder: SiteFolder, console: Console) -> str:
+    """Describe a new site and upload its files, showing how that goes; returns the site's id."""
+    site_id = _describe(client, folder, None)
+    _send_files(client, folder, console, site_id, anew=True)
+    return site_id
 
-    With ``site_id``, that site is described anew, and only files that the service does not have yet are sent.
-    """
+
+def _describe(client: WibamClient, folder: SiteFolder, site_id: str | None) -> str:
     site = client.create_site(folder.site) if site_id is None else client.replace_site(site_id, folder.site)
-    there = {} if site_id is None else {(file.purpose, file.camera or ""): file for file in client.files(site_id)}
+    return site.id
+
+
+def _send_files(client: WibamClient, folder: SiteFolder, console: Console, site_id: str, *, anew: bool) -> None:
+    """Send the files that the service does not have yet; to a site made ``anew`` that is all of them.
+
+    Raises:
+        WibamError: of the kind that a file met; its message names the file.
+    """
+    there = {} if anew else {(file.purpose, file.camera or ""): file for file in client.files(site_id)}
     bars = Progress(
         TextColumn("{task.description:<24}"),
         BarColumn(bar_width=24),
@@ -65,13 +87,36 @@ def send_site(client: WibamClient, folder: SiteFolder, console: Console, site_id
     with bars:
         for camera_id, path in folder.recordings.items():
             if not _is(path, there.get((Purpose.RECORDING, camera_id))):
-                client.upload_recording(site.id, camera_id, path, bar(camera_id, path))
+                with _naming(path):
+                    client.upload_recording(site_id, camera_id, path, bar(camera_id, path))
         labels, detector = folder.assets.get("labels"), folder.assets.get("detector")
         if labels is not None and not _is(labels, there.get((Purpose.LABELS, ""))):
-            client.upload_labels(site.id, labels, bar("labels", labels))
+            with _naming(labels):
+                client.upload_labels(site_id, labels, bar("labels", labels))
         if detector is not None and not _is(detector, there.get((Purpose.DETECTOR, ""))):
-            client.upload_detector(site.id, detector, bar("detector", detector))
-    return site.id
+            with _naming(detector):
+                client.upload_detector(site_id, detector, bar("detector", detector))
+
+
+@contextmanager
+def _naming(path: Path) -> Iterator[None]:
+    """Let an error of the client name the file that it is about."""
+    try:
+        yield
+    except WibamError as error:
+        facts = error.to_dict()
+        facts["message"] = f"{path.name} was not sent: {error.message}"
+        facts["details"] = {**error.details, "file": path.name}
+        raise WibamError.from_dict(facts) from error
+
+
+def _with_continuation(error: WibamError, site_dir: Path, site_id: str) -> WibamError:
+    """The same error, with a hint how to go on."""
+    command = shlex.join(["wibam", "upload", str(site_dir), "--site", site_id])
+    facts = error.to_dict()
+    facts["hint"] = f"{error.hint} Then go on with `{command}`: files that arrived are not sent again.".strip()
+    facts["details"] = {**error.details, "site": site_id}
+    return WibamError.from_dict(facts)
 
 
 def _is(path: Path, file: FileView | None) -> bool:

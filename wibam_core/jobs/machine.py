@@ -11,9 +11,9 @@ from dataclasses import dataclass
 
 from wibam_core.jobs.states import JobState, StageState
 
-#: Moves of a job. Leaving a terminal state is a restart.
+#: Moves of a job. Leaving a terminal state is a restart; QUEUED to SUCCEEDED is one that finds all outputs there.
 JOB_MOVES: Mapping[JobState, frozenset[JobState]] = {
-    JobState.QUEUED: frozenset({JobState.RUNNING, JobState.CANCELLED}),
+    JobState.QUEUED: frozenset({JobState.RUNNING, JobState.CANCELLED, JobState.SUCCEEDED}),
     JobState.RUNNING: frozenset({JobState.CANCELLING, JobState.CANCELLED, JobState.FAILED, JobState.SUCCEEDED}),
     JobState.CANCELLING: frozenset({JobState.CANCELLED}),
     JobState.CANCELLED: frozenset({JobState.QUEUED}),

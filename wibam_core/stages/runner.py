@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from wibam_core.config import PipelineConfig
-from wibam_core.errors import MissingCamera, WibamError
+from wibam_core.errors import MissingCamera, SiteFileError, WibamError
 from wibam_core.progress import Progress
 from wibam_core.site import Site
 from wibam_core.stages.base import StageContext, Summary
@@ -37,7 +37,7 @@ class SiteFolder:
         """Read ``site.json`` and find the recordings and assets beside it.
 
         Raises:
-            SiteFileError: if the description is wrong.
+            SiteFileError: if the description is wrong, or a camera has several recordings.
             MissingCamera: if a camera has no recording.
         """
         site = Site.load(folder / "site.json")
@@ -46,6 +46,12 @@ class SiteFolder:
             found = sorted(p for p in (folder / "recordings").glob(f"{camera_id}.*") if p.is_file())
             if not found:
                 raise MissingCamera(f"there is no recording of camera {camera_id}", camera=camera_id)
+            if len(found) > 1:
+                raise SiteFileError(
+                    f"camera {camera_id} has several recordings: {', '.join(path.name for path in found)}",
+                    hint="Leave one of them in the folder.",
+                    camera=camera_id,
+                )
             recordings[camera_id] = found[0]
         assets = {
             name: folder / file

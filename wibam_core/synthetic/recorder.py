@@ -24,6 +24,7 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 from numpy.typing import NDArray
 
+from wibam_core.errors import Conflict
 from wibam_core.formats.clocks import write_clocks
 from wibam_core.formats.labels import write_labels
 from wibam_core.formats.rig import write_rig
@@ -47,6 +48,7 @@ from wibam_core.video.sampling import Span, common_instants
 Array = NDArray[np.float64]
 IntArray = NDArray[np.int64]
 _NS_PER_S = 1_000_000_000
+_VACANT_HINT = "Choose another folder, or overwrite what is there with --force."
 _HEIGHTS_M = {"site": (6.0, 10.0), "ego": (1.5, 2.8)}
 
 
@@ -86,13 +88,20 @@ class CameraTruth:
     visibility: Array
 
 
-def record_site(folder: Path, options: SimulationOptions, progress: Progress = silent) -> Site:
+def record_site(
+    folder: Path, options: SimulationOptions, progress: Progress = silent, *, overwrite: bool = False
+) -> Site:
     """Simulate a site and write it into ``folder``, which is created.
 
     Returns:
         the site description, as in ``site.json``.
+
+    Raises:
+        Conflict: the folder holds a site or recordings already, and ``overwrite`` is not set. Nothing was written.
     """
     recordings, truth_folder = folder / "recordings", folder / "truth"
+    if not overwrite:
+        _check_vacant(folder, recordings)
     recordings.mkdir(parents=True, exist_ok=True)
     truth_folder.mkdir(exist_ok=True)
     progress(0.0, "simulating traffic")
@@ -108,6 +117,13 @@ def record_site(folder: Path, options: SimulationOptions, progress: Progress = s
     _write_truth(truth_folder, options, jobs, truths)
     progress(1.0, f"{len(jobs)} recordings")
     return site
+
+
+def _check_vacant(folder: Path, recordings: Path) -> None:
+    if (folder / "site.json").exists():
+        raise Conflict(f"{folder} holds a site already", hint=_VACANT_HINT)
+    if recordings.exists() and any(recordings.iterdir()):
+        raise Conflict(f"{folder} holds recordings already", hint=_VACANT_HINT)
 
 
 def plan_recordings(options: SimulationOptions, recordings: Path) -> list[CameraJob]:

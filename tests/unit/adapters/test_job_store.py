@@ -246,6 +246,24 @@ class TestRestart:
         assert [key.stage for key in ready] == ["b"]
         assert {s.name for s in restarted.stages if s.forced} == {"b", "d"}
 
+    def test_with_nothing_to_redo_the_job_succeeds_again_at_once(self, world: World) -> None:
+        job = world.job()
+        self.finish(world, job)
+        before, _ = world.jobs.events(job.id)
+        world.time += 60.0
+        restarted, ready = world.jobs.restart(job.id, {"same": 1}, plan())
+        assert ready == []
+        assert restarted.state is JobState.SUCCEEDED
+        assert (restarted.restarts, restarted.options) == (1, {"same": 1})
+        assert restarted.started_at == restarted.finished_at == world.time
+        assert all(stage.summary == {"n": 1} for stage in restarted.stages)
+        news, complete = world.jobs.events(job.id, after=before[-1].sequence)
+        assert [(event.kind, event.data["state"]) for event in news] == [
+            (EventKind.JOB, "queued"),
+            (EventKind.JOB, "succeeded"),
+        ]
+        assert complete
+
     def test_a_failed_job_goes_on_where_it_failed(self, world: World) -> None:
         job = world.job()
         world.do(job, "a")

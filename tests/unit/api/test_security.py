@@ -1,10 +1,14 @@
 from __future__ import annotations
 
+import asyncio
+
 import pytest
+from starlette.types import Message, Receive, Scope, Send
 
 from api.problems import STATUS, status_of
 from api.routes.uploads import parse_checksum, parse_metadata
-from api.security import ReportLinks
+from api.security import Gate, ReportLinks
+from wibam_core.adapters.settings import token_digest
 from wibam_core.errors import ChecksumMismatch, InputError, MissingCamera, StageCrashed, Unauthorised, WibamError
 
 
@@ -22,6 +26,27 @@ class TestReportLinks:
         expires, signature = ReportLinks("other").sign("job_1")
         with pytest.raises(Unauthorised):
             ReportLinks("secret").verify("job_1", expires, signature)
+
+
+@pytest.mark.parametrize(
+    ("path", "query", "status"), [("/v1/jobs/a\0b", b"", 404), ("/reports/x", b"signature=%00", 422)]
+)
+def test_a_nul_in_an_address_reaches_no_route(path: str, query: bytes, status: int) -> None:
+    async def no_route(scope: Scope, receive: Receive, send: Send) -> None:
+        raise AssertionError("it came through")
+
+    sent: list[Message] = []
+
+    async def send(message: Message) -> None:
+        sent.append(message)
+
+    async def receive() -> Message:
+        return {"type": "http.request", "body": b""}
+
+    headers = [(b"authorization", b"Bearer t")]
+    scope = {"type": "http", "method": "GET", "path": path, "query_string": query, "headers": headers}
+    asyncio.run(Gate(no_route, token_digest("t"))(scope, receive, send))
+    assert sent[0]["status"] == status
 
 
 class TestStatuses:

@@ -14,7 +14,7 @@ import pytest
 
 from tests.service import wait_until
 from wibam_core.cli import embedded
-from wibam_core.errors import ServiceUnavailable
+from wibam_core.errors import Conflict, ServiceUnavailable
 
 SLEEPS = [sys.executable, "-c", "import time; time.sleep(600)"]
 DIES = [sys.executable, "-c", "print('no more'); raise SystemExit(3)"]
@@ -87,6 +87,14 @@ def test_readiness_is_not_asked_through_a_proxy(family: embedded._Family, monkey
         threading.Thread(target=server.serve_forever, daemon=True).start()
         embedded._wait_until_ready(f"http://127.0.0.1:{server.server_port}", family)
         server.shutdown()
+
+
+def test_a_taken_port_is_told_once() -> None:
+    with embedded._listen("127.0.0.1", 0) as taken:
+        port = taken.getsockname()[1]
+        with pytest.raises(Conflict) as refused:
+            embedded._listen("127.0.0.1", port)
+    assert refused.value.message == f"cannot listen on 127.0.0.1:{port}: Address already in use"
 
 
 @pytest.mark.parametrize(("python", "hint"), [((3, 11), "wibam[embedded]"), ((3, 13), "Python 3.11 or 3.12")])

@@ -2,26 +2,33 @@
 
 from __future__ import annotations
 
+import io
 from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
 import pytest
 import typer
+from rich.console import Console
 from typer.testing import CliRunner
 
 from tests.builders import corner_rig, site_of
 from tests.finished import finished_job
 from tests.service import TOKEN, LiveApi, live_api, settings_for
 from wibam_core.cli import jobs
+from wibam_core.cli.display import list_table, print_list
+from wibam_core.cli.sites import sites
 from wibam_core.cli.tracks import tracks
 from wibam_core.cli.upload import upload
-from wibam_core.errors import MissingCamera, NotFound, Unauthorised
+from wibam_core.client import WibamClient
+from wibam_core.errors import InvalidOption, MissingCamera, NotFound, ServiceUnavailable, Unauthorised, UnknownOption
 from wibam_core.formats.tracks import read_tracks
 
 runner = CliRunner()
 app = typer.Typer()
 app.command()(upload)
 app.command()(tracks)
+app.command()(sites)
 app.add_typer(jobs.app, name="jobs")
 
 
@@ -36,8 +43,9 @@ def job(api: LiveApi) -> str:
     return finished_job(api)
 
 
-def wibam(api: LiveApi, *arguments: str) -> str:
-    result = runner.invoke(app, list(arguments), env={"WIBAM_URL": api.url, "WIBAM_TOKEN": TOKEN, "COLUMNS": "200"})
+def wibam(api: LiveApi, *arguments: str, columns: int = 200) -> str:
+    environment = {"WIBAM_URL": api.url, "WIBAM_TOKEN": TOKEN, "COLUMNS": str(columns)}
+    result = runner.invoke(app, list(arguments), env=environment)
     if result.exception is not None:
         raise result.exception
     return result.output
@@ -89,6 +97,73 @@ def test_a_folder_without_a_recording_is_not_sent(api: LiveApi, tmp_path: Path) 
     with pytest.raises(MissingCamera):
         wibam(api, "upload", str(site_folder(tmp_path / "site", recordings=1)))
     assert len(api.http.get("/v1/sites").json()) == before
+
+
+@pytest.mark.parametrize(
+    ("assignment", "kind"),
+    [("finetune.stepz=1", UnknownOption), ("finetune.steps=abc", InvalidOption), ("finetune", InvalidOption)],
+)
+def test_options_are_checked_before_anything_is_sent(
+    api: LiveApi, tmp_path: Path, assignment: str, kind: type[UnknownOption]
+) -> None:
+    before = len(api.http.get("/v1/sites").json())
+    with pytest.raises(UnknownOption) as refused:
+        wibam(api, "upload", str(site_folder(tmp_path / "site")), "--run", "--set", assignment)
+    assert type(refused.value) is kind
+    assert len(api.http.get("/v1/sites").json()) == before
+
+
+def test_an_upload_that_fails_names_the_file_and_how_to_go_on(
+    api: LiveApi, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    folder = site_folder(tmp_path / "my site")
+    send = WibamClient.upload_recording
+
+    def break_off(self: WibamClient, site: str, camera: str, path: Path, progress: Any) -> None:
+        if camera == "cam2":
+            raise ServiceUnavailable("no answer")
+        send(self, site, camera, path, progress)
+
+    monkeypatch.setattr(WibamClient, "upload_recording", break_off)
+    environment = {"WIBAM_URL": api.url, "WIBAM_TOKEN": TOKEN}
+    result = runner.invoke(app, ["upload", str(folder)], env=environment)
+    site = result.output.strip()
+    assert api.http.get(f"/v1/sites/{site}").status_code == 200, "its id was printed"
+    error = result.exception
+    assert isinstance(error, ServiceUnavailable)
+    assert error.message == "cam2.mp4 was not sent: no answer"
+    assert f"wibam upload '{folder}' --site {site}" in error.hint
+    monkeypatch.undo()
+    before = {item["camera"]: item["id"] for item in api.http.get(f"/v1/sites/{site}/recordings").json()}
+    assert set(before) == {"cam1"}
+    wibam(api, "upload", str(folder), "--site", site)
+    after = {item["camera"]: item["id"] for item in api.http.get(f"/v1/sites/{site}/recordings").json()}
+    assert set(after) == {"cam1", "cam2"}
+    assert after["cam1"] == before["cam1"]
+
+
+def test_sites_are_listed(api: LiveApi) -> None:
+    site = api.site(cameras=2)
+    api.upload(site, b"one of two")
+    [row] = [line for line in wibam(api, "sites", columns=20).splitlines() if site in line]
+    assert row.split() == [site, "2", "1", "crossing"]
+
+
+def test_ids_are_whole_and_times_have_hours_in_a_narrow_pipe(api: LiveApi, job: str) -> None:
+    shown = api.http.get(f"/v1/jobs/{job}").json()
+    [row] = [line for line in wibam(api, "jobs", "list", columns=40).splitlines() if job in line]
+    day, time = shown["created_at"][:16].split("T")
+    assert row.split()[:6] == [job, shown["site_id"], "succeeded", "100%", day, time]
+
+
+def test_ids_are_whole_in_a_narrow_terminal() -> None:
+    table = list_table("job", "site", others=("says",))
+    table.add_row("job_5e4d3c2b1a098765", "site_3f0c9a1be2d44c70", "something that may be broken")
+    terminal = Console(file=io.StringIO(), force_terminal=True, width=30, color_system=None)
+    print_list(terminal, table)
+    output = terminal.file.getvalue()  # type: ignore[attr-defined]
+    assert "job_5e4d3c2b1a098765 site_3f0c9a1be2d44c70 " in output
+    assert "something that may be broken" not in output
 
 
 def test_without_a_token_the_hint_says_where_it_is(api: LiveApi) -> None:

@@ -1,0 +1,23 @@
+"""Query parameters that a route does not have are refused: one that is misspelt would otherwise change nothing."""
+
+from __future__ import annotations
+
+from fastapi import Depends, Request
+
+from wibam_core.errors import InputError
+
+
+def _only_known(request: Request) -> None:
+    """Raises:
+    InputError: naming the first parameter that the route does not have.
+    """
+    known = [field.alias for field in request.scope["route"].dependant.query_params]
+    for name in request.query_params:
+        if name not in known:
+            raise InputError(
+                f"there is no parameter {name!r}", hint=f"The parameters are {', '.join(known)}.", parameter=name
+            )
+
+
+#: For the ``dependencies`` of a route.
+ONLY_KNOWN_PARAMETERS = Depends(_only_known)
