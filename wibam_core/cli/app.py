@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import typer
 
-from wibam_core.cli import jobs
+from wibam_core.cli import jobs, weights
 from wibam_core.cli.demo import demo
 from wibam_core.cli.detect import detect
 from wibam_core.cli.run import run
@@ -26,3 +26,4 @@ app = typer.Typer(
 for command in (demo, run, serve, upload, sites, tracks, simulate, detect, signals, track):
     app.command()(command)
 app.add_typer(jobs.app, name="jobs")
+app.add_typer(weights.app, name="weights")

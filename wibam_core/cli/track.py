@@ -18,7 +18,9 @@ from wibam_core.errors import CalibrationError, MissingCamera
 from wibam_core.formats.rig import read_rig
 from wibam_core.formats.tracks import write_tracks
 from wibam_core.geometry.camera import Camera
-from wibam_core.models.weights import bundled, load_network
+from wibam_core.models.convert import LICENCE_NOTE
+from wibam_core.models.dla34 import DLA34
+from wibam_core.models.weights import bundled, load_monocular
 from wibam_core.scene import Track
 from wibam_core.tracking.recording import track_recording
 from wibam_core.tracking.uncalibrated import nominal_camera
@@ -37,7 +39,10 @@ def track(
         Path | None, typer.Option(help="A rig.json, as the calibrate stage writes it. Without it metres are nominal.")
     ] = None,
     camera: Annotated[str | None, typer.Option(help="Which camera of the rig. Default: its first.")] = None,
-    weights: Annotated[Path | None, typer.Option(help="A fine-tuned model. Default: the bundled one.")] = None,
+    weights: Annotated[
+        Path | None,
+        typer.Option(help="A fine-tuned model, or what `wibam weights convert` wrote. Default: the bundled model."),
+    ] = None,
     horizon: Annotated[float | None, typer.Option(help="Without a calibration: the horizon's row, px.")] = None,
     rate: Annotated[float, typer.Option(help="Frames per second that are tracked on.", min=0.1, max=120.0)] = 6.25,
     min_score: Annotated[float, typer.Option(help="Weaker detections are left out.", min=0.01, max=0.99)] = 0.3,
@@ -54,7 +59,12 @@ def track(
         seen_by = nominal_camera(info.width_px, info.height_px, horizon_px=horizon)
     else:
         seen_by = _calibrated(calibration, camera, info)
-    network = load_network(weights or bundled("mono_small.safetensors"))
+    network = load_monocular(weights or bundled("mono_small.safetensors"))
+    if isinstance(network, DLA34):
+        console.print(f"[yellow]{LICENCE_NOTE}[/]", highlight=False)
+        console.print(
+            "CenterTrack's DLA-34 takes a second or more per frame on a CPU; a lower --rate helps.", highlight=False
+        )
     config = TrackConfig(rate_hz=rate, min_score=min_score)
     tracks = track_recording(network, _images(video, info, rate, console), seen_by, config)
     write_tracks(out, tracks)

@@ -110,7 +110,7 @@ def _predict_batch(
     finite = np.isfinite(boxes).all(axis=1)
     for index, frame in enumerate(frames):
         mine = np.flatnonzero((image == index) & finite)
-        mine = mine[_distinct(boxes2d[mine])]
+        mine = mine[distinct(boxes2d[mine])]
         yield Vehicles3D.of(
             frame.time_ns,
             boxes[mine],
@@ -121,7 +121,7 @@ def _predict_batch(
         )
 
 
-def _distinct(boxes: NDArray[np.float64]) -> NDArray[np.int64]:
+def distinct(boxes: NDArray[np.float64]) -> NDArray[np.int64]:
     """Indices of xyxy boxes (N, 4), best first, that overlap no better one by more than `_DUPLICATE_IOU`."""
     kept: list[int] = []
     areas = np.prod(boxes[:, 2:] - boxes[:, :2], axis=1)

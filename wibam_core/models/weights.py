@@ -2,23 +2,43 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from importlib import resources
 from pathlib import Path
+from typing import TypeVar
 
 import safetensors
+import torch
 from safetensors.torch import load_file, save_file
+from torch import Tensor, nn
 
 from wibam_core.errors import InvalidWeights
+from wibam_core.models.centertrack import NUSCENES_CLASSES
+from wibam_core.models.dla34 import DLA34
 from wibam_core.models.small import SmallNetwork
 from wibam_core.scene import CLASSES
 
 _FAMILY = "wibam-small"
 _VERSION = "1"
+_CENTERTRACK_FAMILY = "centertrack-dla34"
+_CENTERTRACK_VERSION = "1"
+
+_NOT_SAFETENSORS_HINT = (
+    "Give a safetensors file made for this network. `wibam weights convert` makes one of CenterTrack's .pth or WIBAM's "
+    ".ckpt."
+)
+
+_Network = TypeVar("_Network", bound=nn.Module)
 
 
 def metadata() -> dict[str, str]:
     """What a weights file says about itself."""
     return {"family": _FAMILY, "version": _VERSION, "classes": ",".join(CLASSES)}
+
+
+def centertrack_metadata() -> dict[str, str]:
+    """What a file of converted CenterTrack weights says about itself, apart from where they come from."""
+    return {"family": _CENTERTRACK_FAMILY, "version": _CENTERTRACK_VERSION, "classes": ",".join(NUSCENES_CLASSES)}
 
 
 def save_network(network: SmallNetwork, path: Path) -> None:
@@ -35,38 +55,77 @@ def load_network(path: Path) -> SmallNetwork:
     Raises:
         InvalidWeights: naming the first thing that does not fit.
     """
-    _check_metadata(path)
-    network = SmallNetwork()
-    state = load_file(str(path))
-    expected = network.state_dict()
+    _check_metadata(path, metadata())
+    return _loaded(SmallNetwork(), path)
+
+
+def load_monocular(path: Path) -> SmallNetwork | DLA34:
+    """A network in evaluation mode, of the family that the file names.
+
+    Raises:
+        InvalidWeights: naming the first thing that does not fit.
+    """
+    if _read_metadata(path).get("family") != _CENTERTRACK_FAMILY:
+        return load_network(path)
+    _check_metadata(path, centertrack_metadata())
+    return _loaded(DLA34(), path)
+
+
+def check_state(source: str, state: Mapping[str, Tensor], expected: Mapping[str, Tensor], hint: str | None) -> None:
+    """Check that tensors have a network's names, shapes and types, and that their values are finite.
+
+    Args:
+        source: name of the file that ``state`` was read from.
+        state: name -> tensor.
+        expected: the network's own.
+        hint: what to do where something does not fit; None for the usual one.
+
+    Raises:
+        InvalidWeights: naming the first thing that does not fit.
+    """
+
+    def refused(what: str, tensor: str) -> InvalidWeights:
+        return InvalidWeights(f"{source}{what}", hint=hint, tensor=tensor)
+
     for name, value in expected.items():
         if name not in state:
-            raise InvalidWeights(f"{path.name} lacks the tensor {name}", tensor=name)
+            raise refused(f" lacks the tensor {name}", name)
         if state[name].shape != value.shape:
-            raise InvalidWeights(
-                f"{path.name}: tensor {name} has shape {tuple(state[name].shape)}, not {tuple(value.shape)}",
-                tensor=name,
-            )
+            raise refused(f": tensor {name} has shape {tuple(state[name].shape)}, not {tuple(value.shape)}", name)
         if state[name].dtype != value.dtype:
-            raise InvalidWeights(f"{path.name}: tensor {name} is {state[name].dtype}, not {value.dtype}", tensor=name)
-        if not bool(state[name].isfinite().all()):
-            raise InvalidWeights(f"{path.name}: tensor {name} has values that are not finite", tensor=name)
+            raise refused(f": tensor {name} is {state[name].dtype}, not {value.dtype}", name)
+        if not _is_finite(state[name]):
+            raise refused(f": tensor {name} has values that are not finite", name)
     for name in state:
         if name not in expected:
-            raise InvalidWeights(f"{path.name} has a tensor {name} that the network lacks", tensor=name)
+            raise refused(f" has a tensor {name} that the network lacks", name)
+
+
+def _is_finite(values: Tensor) -> bool:
+    # The extremes are NaN where any value is; looking at them is several times faster than at a mask of all values.
+    return bool(torch.stack(values.aminmax()).isfinite().all())
+
+
+def _loaded(network: _Network, path: Path) -> _Network:
+    state = load_file(str(path))
+    check_state(path.name, state, network.state_dict(), None)
     network.load_state_dict(state)
     return network.eval()
 
 
-def _check_metadata(path: Path) -> None:
+def _read_metadata(path: Path) -> dict[str, str]:
     try:
         with safetensors.safe_open(str(path), framework="pt") as file:
-            found = file.metadata() or {}
+            return file.metadata() or {}
     except FileNotFoundError as error:
         raise InvalidWeights(f"{path} does not exist") from error
     except (safetensors.SafetensorError, OSError) as error:
-        raise InvalidWeights(f"{path.name} is not a safetensors file: {error}") from error
-    for key, value in metadata().items():
+        raise InvalidWeights(f"{path.name} is not a safetensors file: {error}", hint=_NOT_SAFETENSORS_HINT) from error
+
+
+def _check_metadata(path: Path, expected: Mapping[str, str]) -> None:
+    found = _read_metadata(path)
+    for key, value in expected.items():
         if found.get(key) != value:
             raise InvalidWeights(f"{path.name}: {key} is {found.get(key)!r}, not {value!r}", field=key)
 

@@ -9,7 +9,9 @@ from numpy.typing import NDArray
 
 from wibam_core.config import TrackConfig
 from wibam_core.geometry.camera import Camera
+from wibam_core.models.centertrack import predict_vehicles
 from wibam_core.models.decode import Decode
+from wibam_core.models.dla34 import DLA34
 from wibam_core.models.inference import Frame, predict
 from wibam_core.models.small import SmallNetwork
 from wibam_core.scene import Track
@@ -17,7 +19,7 @@ from wibam_core.tracking.tracker import Tracker
 
 
 def track_recording(
-    network: SmallNetwork,
+    network: SmallNetwork | DLA34,
     images: Iterable[tuple[int, NDArray[np.uint8]]],
     camera: Camera,
     config: TrackConfig,
@@ -31,7 +33,7 @@ def track_recording(
         images: (time in ns, BGR image (H, W, 3) uint8), in order of time; ``config.rate_hz`` is the caller's.
         camera: of the recording; any size with the images' aspect ratio.
         config: thresholds.
-        decode: how boxes are placed along the ray.
+        decode: how the small network's boxes are placed along the ray; DLA-34's lie at the depth that it gives.
     """
     tracker = Tracker(config)
 
@@ -39,6 +41,10 @@ def track_recording(
         for time_ns, image in images:
             yield Frame(image, camera, "camera", time_ns)
 
-    for found in predict(network, frames(), decode=decode, min_score=config.min_score):
+    if isinstance(network, DLA34):
+        detected = predict_vehicles(network, frames(), min_score=config.min_score)
+    else:
+        detected = predict(network, frames(), decode=decode, min_score=config.min_score)
+    for found in detected:
         tracker.step(found.time_ns, [found])
     return tracker.tracks()
