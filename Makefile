@@ -42,9 +42,13 @@ fix: $(READY) ## format the code and mend what the linter can mend
 	$(BIN)/ruff check --fix .
 	$(BIN)/ruff format .
 
-weights: $(READY) ## train the bundled networks again from simulated images (about two hours on two cores)
-	$(BIN)/python -m wibam_core.training.pretrain_detector
-	$(BIN)/python -m wibam_core.training.pretrain
+weights: $(READY) ## train the bundled networks again from simulated images (three hours on two cores): build/weights
+	$(BIN)/python -m wibam_core.training.pretrain_detector --out build/weights
+	$(BIN)/python -m wibam_core.training.pretrain --out build/weights/1 --steps 4500 --images 3000 --seed 0
+	$(BIN)/python -m wibam_core.training.pretrain --out build/weights/2 --steps 4000 --images 6000 --shard 400 \
+		--seed 10000 --learning-rate 1.5e-3 --start build/weights/1/mono_small.safetensors
+	$(BIN)/python -m wibam_core.training.pretrain --out build/weights/3 --steps 5000 --images 8000 --shard 400 \
+		--seed 20000 --learning-rate 1.5e-3 --start build/weights/2/mono_small.safetensors
 
 clean: ## remove what was built; the virtual environment stays
 	rm -rf build .mypy_cache .ruff_cache .pytest_cache .import_linter_cache

@@ -75,7 +75,7 @@ class FinetuneConfig(StageConfig):
     steps: int = Field(400, ge=1)
     batch_size: int = Field(8, ge=1)
     learning_rate: float | None = Field(
-        None, gt=0, description="peak rate; unless given, 1.5e-3 for 'lifted' and 1e-4 for 'paper'"
+        None, gt=0, description="peak rate; unless given, 2.5e-3 for 'lifted' and 1e-4 for 'paper'"
     )
     steps_per_epoch: int = Field(50, ge=1, description="a checkpoint and a validation after each")
     seed: int = Field(0, ge=0, le=2**63 - 1)

@@ -29,14 +29,14 @@ from wibam_core.synthetic.options import SimulationOptions
 from wibam_core.synthetic.recorder import record_site
 
 #: Options that fit the whole thread into five minutes on two cores; the service's own defaults are for real footage.
-_QUICK: dict[str, dict[str, Any]] = {"finetune": {"steps": 220}, "track": {"rate_hz": 5.0}}
+_QUICK: dict[str, dict[str, Any]] = {"finetune": {"steps": 350}, "track": {"rate_hz": 5.0}}
 
 
 def demo(
     out: Annotated[Path, typer.Option(help="Where everything goes; an earlier demo there is replaced.")] = Path("demo"),
-    seed: Annotated[int, typer.Option(help="Another seed is another intersection.")] = 12,
-    seconds: Annotated[float, typer.Option(help="Length of the recordings.", min=20)] = 50.0,
-    density: Annotated[float, typer.Option(help="Traffic; 1 is about 6 vehicles a minute and lane.")] = 2.0,
+    seed: Annotated[int, typer.Option(help="Another seed is another intersection.")] = 13,
+    seconds: Annotated[float, typer.Option(help="Length of the recordings.", min=20)] = 90.0,
+    density: Annotated[float, typer.Option(help="Traffic; 1 is about 6 vehicles a minute and lane.")] = 1.2,
     option: Annotated[list[str] | None, typer.Option("--set", help="An option, e.g. finetune.steps=200.")] = None,
 ) -> None:
     """Record a simulated intersection, upload it, fine-tune on it, and show what came out."""

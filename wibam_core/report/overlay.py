@@ -79,7 +79,9 @@ def clip_segment(a: Array, b: Array, width_px: int, height_px: int) -> tuple[Arr
     step = b - a
     limits = (width_px - 0.5, height_px - 0.5)
     for axis in (0, 1):
-        for slope, room in ((-step[axis], a[axis] + 0.5), (step[axis], limits[axis] - a[axis])):
+        # in Python's own floats, a quotient beyond all numbers is infinite without a warning
+        along, before, room_after = float(step[axis]), float(a[axis]) + 0.5, limits[axis] - float(a[axis])
+        for slope, room in ((-along, before), (along, room_after)):
             if slope == 0:
                 if room < 0:
                     return None

@@ -34,7 +34,7 @@ _SHAKEN_SHARE = 0.3
 _WEIGHT_DECAY = 1e-3
 
 #: Peak learning rates where the options give none.
-_DEFAULT_RATE = {"lifted": 1.5e-3, "paper": 1e-4}
+_DEFAULT_RATE = {"lifted": 2.5e-3, "paper": 1e-4}
 
 #: Validation looks at this many views at most, evenly spread.
 _MAX_VALIDATION_VIEWS = 96
