@@ -61,10 +61,17 @@ def test_its_own_database_goes_on(used: Path) -> None:
 
 def test_a_folder_of_before_is_taken_by_the_database_that_knows_its_files(used: Path, other: Database) -> None:
     (used / "database-id").unlink()
-    with pytest.raises(Conflict):
+    with pytest.raises(Conflict, match="does not know"):
         claim_folder(other, DataFolder(used))
     with live_api(settings_for(used)):
         assert (used / "database-id").is_file()
+
+
+def test_a_lock_that_a_killed_service_left_is_nobodys_file(tmp_path: Path, other: Database) -> None:
+    folder = DataFolder(tmp_path / "data")
+    (folder.root / "uploads" / "file_0123456789abcdef.lock").touch()
+    claim_folder(other, folder)
+    assert folder.database_id() is not None
 
 
 def test_a_new_folder_is_taken_and_private(tmp_path: Path, other: Database) -> None:

@@ -78,6 +78,11 @@ class DataFolder:
         ids = {path.name.split(".")[0] for path in paths if _unchanged_since(path, limit)}
         return {name for name in ids if _ID.fullmatch(name)}
 
+    def holds_bytes(self) -> set[str]:
+        """Ids of files and uploads of which something lies here, however new; lock files are nothing."""
+        paths = [path for name in ("uploads", "files") for path in (self.root / name).iterdir()]
+        return {path.name.split(".")[0] for path in paths if path.suffix != ".lock" and path.stat().st_size}
+
     def database_id(self) -> str | None:
         """Of the database that knows what lies here; None until one has been told (`belong_to`)."""
         path = self.root / "database-id"

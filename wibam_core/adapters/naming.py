@@ -9,7 +9,7 @@ from typing import Any
 from wibam_core.jobs.records import Purpose, StoredFile
 
 _FILE = re.compile(r"(?:(?<![\w:/])/[^\s'\"]*/)?\b(file_[0-9a-f]{16})(?:\.[a-z]+)?\b")
-_PATH = re.compile(r"(?<![\w:/.~-])/(?:[^\s/'\"()<>|:,;]+/)+([^\s/'\"()<>|:,;]*)")
+_PATH = re.compile(r"(?<![\w:/.~-])/(?!v1/)(?:[^\s/'\"()<>|:,;]+/)+([^\s/'\"()<>|:,;]*)")
 
 
 def in_users_words(value: Any, files: Iterable[StoredFile]) -> Any:

@@ -23,13 +23,14 @@ def claim_folder(database: Database, folder: DataFolder) -> None:
     mine = _database_id(database)
     theirs = folder.database_id()
     if theirs is None:
-        there = folder.old_file_ids(older_than_s=0.0)
+        there = folder.holds_bytes()
         if not there or there & SiteStore(database).known_file_ids():
             folder.belong_to(mine)
             return
     if theirs != mine:
+        whose = "belongs to another database" if theirs is not None else "holds files that this database does not know"
         raise Conflict(
-            f"the data folder {folder.root} belongs to another database",
+            f"the data folder {folder.root} {whose}",
             hint="Set WIBAM_DATABASE_URL to the database that it was used with, or choose another WIBAM_DATA_DIR.",
         )
 

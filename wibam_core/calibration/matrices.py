@@ -16,8 +16,11 @@ Array = NDArray[np.float64]
 _MAX_HEIGHT_M = 500.0
 #: Ground farther from a camera than this is of no use.
 GROUND_RANGE_M = 200.0
-#: A pixel must come back to within this of itself once its distortion is undone and done again.
+#: A pixel must come back to within this of itself once its distortion is undone and done again, as far out as this
+#: share of the image's half diagonal. Published coefficients of wide lenses often fold back beyond it, in the very
+#: corners, where no board was seen; there the lens is continued (`wibam_core.geometry.distortion`).
 _ROUND_TRIP_PX = 0.5
+_TRUSTED_RADIUS = 0.75
 
 
 def camera_from_matrices(
@@ -73,9 +76,9 @@ _INTRINSICS_HINT = "K is [[fx, 0, cx], [0, fy, cy], [0, 0, 1]] in pixels of the 
 
 
 def _check_lens(camera: Camera, steps: int = 41) -> None:
-    """Refuse a lens whose distortion formula folds back inside the image: several rays then share a pixel.
+    """Refuse a lens whose distortion formula folds back well inside the image: several rays then share a pixel.
 
-    Coefficients fitted to points near the middle of the image do that near its corners.
+    Coefficients fitted to points near the middle of the image alone do that.
 
     Raises:
         CalibrationError: naming the pixel that is worst off.
@@ -91,7 +94,9 @@ def _check_lens(camera: Camera, steps: int = 41) -> None:
     back, _ = cv2.projectPoints(rays, np.zeros(3), np.zeros(3), np.array(camera.K), np.array(camera.dist))
     error_px = np.linalg.norm(back.reshape(-1, 2) - pixels, axis=1)
     bad = ~(error_px <= _ROUND_TRIP_PX)
-    if bad.any():
+    middle = np.array([camera.width_px - 1, camera.height_px - 1]) / 2
+    share = np.linalg.norm(pixels - middle, axis=1) / np.hypot(camera.width_px / 2, camera.height_px / 2)
+    if (bad & (share <= _TRUSTED_RADIUS)).any():
         worst = int(np.nan_to_num(error_px, nan=np.inf).argmax())
         raise CalibrationError(
             f"the distortion cannot be undone in {np.ceil(100 * bad.mean()):.0f}% of the image: pixel "

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from bisect import bisect_right
 from collections.abc import Sequence
 
 import numpy as np
@@ -28,10 +29,11 @@ def evaluated_instants(
     if labels is None or len(test_times_ns) < 2:
         return chosen
     first, period_ns = test_times_ns[0], int(np.median(np.diff(test_times_ns)))
-    taken = {(i.time_ns - first) // period_ns for i in chosen if _is_labelled(i, labels)}
+    # the k-th period begins with the k-th instant of the split: they need not be equally long
+    taken = {bisect_right(test_times_ns, i.time_ns) for i in chosen if _is_labelled(i, labels)}
     nearest: dict[int, tuple[int, FrameSet]] = {}
     for instant in instants:
-        period = (instant.time_ns - first) // period_ns
+        period = bisect_right(test_times_ns, instant.time_ns)
         within = first <= instant.time_ns < test_times_ns[-1] + period_ns
         if within and period not in taken and instant.time_ns not in wanted and _is_labelled(instant, labels):
             nearest[period] = min(

@@ -28,6 +28,7 @@ LABELS = replace(
         ("no file file_0000000000000000 there", "no file file_0000000000000000 there"),
         ("cannot write '/srv/data/stages/sync-1/clocks.json': no", "cannot write 'clocks.json': no"),
         ("12 m/s or km/h; see http://a.b/c/d and ~/x/y", "12 m/s or km/h; see http://a.b/c/d and ~/x/y"),
+        ("Jobs are listed by /v1/sites and /v1/jobs.", "Jobs are listed by /v1/sites and /v1/jobs."),
     ],
 )  # fmt: skip
 def test_text_is_rewritten(text: str, shown: str) -> None:

@@ -7,7 +7,7 @@ import pytest
 import torch
 
 from tests.builders import corner_rig, look_at, site_of
-from wibam_core.calibration.matrices import camera_from_matrices, visible_ground
+from wibam_core.calibration.matrices import build_camera, camera_from_matrices, visible_ground
 from wibam_core.calibration.residuals import Residuals, metres_per_pixel
 from wibam_core.calibration.rig import calibrate, check_overlap
 from wibam_core.config import CalibrateConfig
@@ -153,7 +153,7 @@ FOLDING = (-0.33, 0.13, 0.0, 0.0, -0.025)
 @pytest.mark.parametrize("kind", ["matrices", "pnp"])
 def test_a_lens_that_folds_back_inside_the_image_is_refused_by_name(kind, size):
     width, height = size
-    camera = look_at((20.0, -12.0, 8.0), focal_px=0.52 * width, width_px=width, height_px=height, dist=FOLDING)
+    camera = look_at((20.0, -12.0, 8.0), focal_px=0.42 * width, width_px=width, height_px=height, dist=FOLDING)
     calibration = site_of(CameraRig({"pole": camera})).model_dump(mode="json")["cameras"][0]["calibration"]
     if kind == "pnp":
         shared = {"K": calibration["K"], "dist": calibration["dist"]}
@@ -166,6 +166,18 @@ def test_a_lens_that_folds_back_inside_the_image_is_refused_by_name(kind, size):
     assert abs(u - width / 2) > width / 4 and abs(v - height / 2) > height / 4  # near a corner
     for way_out in ("over the whole image", "undistort the recording", "crop"):
         assert way_out in error.value.hint
+
+
+def test_a_lens_that_folds_in_the_very_corners_is_accepted() -> None:
+    """As those of action cameras do whose board was not held into the corners: 14 % of the image here."""
+    lens = (-0.2576, 0.0877, -0.0003, -0.0006, -0.0152)
+    pose = look_at((20.0, -12.0, 8.0), focal_px=860.0, width_px=1920, height_px=1080).T_world_cam
+    camera = build_camera([[860.0, 0.0, 960.0], [0.0, 875.0, 550.0], [0.0, 0.0, 1.0]], lens, pose, 1920, 1080)
+    corners_px = np.array([[0.0, 0.0], [1919.0, 0.0], [0.0, 1079.0], [1919.0, 1079.0]])
+    rays = camera.rays(corners_px)
+    assert np.isfinite(rays).all()
+    back, _ = camera.project(camera.centre_m + 10 * rays)
+    np.testing.assert_allclose(back, corners_px, atol=1e-6)
 
 
 @pytest.mark.parametrize(
