@@ -42,23 +42,43 @@ def stage(job: JobView, name: str) -> StageState:
     return next(item.state for item in job.stages if item.name == name)
 
 
-def processes_of(service_data: Path, marker: str) -> list[int]:
-    """Processes with ``marker`` in their command line that belong to the service on this data folder."""
-    found = []
+def running() -> dict[int, tuple[int, str]]:
+    """Parent and command line of every process that has not ended: anybody may read these."""
+    found = {}
     for folder in Path("/proc").glob("[0-9]*"):
         try:
-            command = (folder / "cmdline").read_bytes().replace(b"\0", b" ")
-            if marker.encode() in command and bytes(service_data) in (folder / "environ").read_bytes():
-                found.append(int(folder.name))
+            state, parent = (folder / "stat").read_text().rpartition(")")[2].split()[:2]
+            command = os.fsdecode((folder / "cmdline").read_bytes()).replace("\0", " ")
         except OSError:
             continue  # it has just ended
+        if state != "Z":
+            found[int(folder.name)] = (int(parent), command)
     return found
+
+
+def descendants(ancestor: int) -> list[int]:
+    """Processes that this one started, or that those did."""
+    parents = {pid: parent for pid, (parent, _) in running().items()}
+    found: list[int] = []
+    generation = [ancestor]
+    while generation:
+        generation = [pid for pid, parent in parents.items() if parent in generation]
+        found += generation
+    return found
+
+
+def parts_of_the_service(marker: str) -> list[int]:
+    """Processes of this test's service with ``marker`` in their command line."""
+    everything = running()
+    return [pid for pid in descendants(os.getpid()) if pid in everything and marker in everything[pid][1]]
 
 
 def stages_of(service_data: Path, min_overlap_s: float) -> list[int]:
     """Processes of stages of the job that has this option."""
     found = []
-    for pid in processes_of(service_data, "stages.execute"):
+    for pid, (_, command) in running().items():
+        if "stages.execute" not in command or str(service_data) not in command:
+            continue
         try:
             request = Path(os.fsdecode(Path(f"/proc/{pid}/cmdline").read_bytes().split(b"\0")[-2]))
             if json.loads(request.read_bytes())["config"]["preflight"]["min_overlap_s"] == min_overlap_s:
@@ -153,7 +173,7 @@ class TestDeaths:
     ) -> None:
         job = client.create_job(send(client, recording), {"preflight": {"min_overlap_s": 1.3}})
         wait_until(lambda: client.job(job.id).state is JobState.RUNNING)
-        workers = processes_of(service.data_dir, "worker.app")
+        workers = parts_of_the_service("worker.app")
         assert workers
         for pid in workers:
             os.kill(pid, signal.SIGKILL)
@@ -167,7 +187,9 @@ class TestDeaths:
         self, service: EmbeddedService, client: WibamClient, recording: Path
     ) -> None:
         site = send(client, recording)
-        for pid in processes_of(service.data_dir, "redis.sock"):
+        brokers = parts_of_the_service("redis.sock")
+        assert brokers
+        for pid in brokers:
             os.kill(pid, signal.SIGKILL)
         job = client.create_job(site, {"preflight": {"min_overlap_s": 1.4}})
         ended = client.wait(job.id, timeout_s=180)
@@ -212,8 +234,10 @@ with EmbeddedService(Path({str(data)!r})) as service:
             url, token = process.stdout.readline().split()
             with WibamClient(url, token) as client:
                 site = client.create_site(SITE).id
+            parts = descendants(process.pid)
+            assert len(parts) >= 3
             process.kill()
-        wait_until(lambda: not processes_of(data, ""), 15)
+        wait_until(lambda: not set(parts) & running().keys(), 15)
         with EmbeddedService(data) as service, WibamClient(service.url, service.token) as client:
             assert service.token == token
             assert [found.id for found in client.sites()] == [site]
