@@ -49,7 +49,7 @@ class RecordingOut(BaseModel):
 
     id: str = Field(examples=["file_9b8a7c6d5e4f3a2b"])
     site_id: str
-    purpose: Literal["recording", "labels", "detector"]
+    purpose: Literal["recording", "labels", "detector", "network"]
     camera: str | None = Field(description="of a recording")
     filename: str = Field(description="as the client called it")
     size_bytes: int

@@ -32,10 +32,10 @@ def tracks() -> list[Track]:
     ]
 
 
-def finished_job(api: LiveApi, recording: bytes = b"not looked at") -> str:
+def finished_job(api: LiveApi, recording: bytes = b"not looked at", *, onnx: bool = True) -> str:
     """Create a job and publish small outputs for each of its stages; returns its id.
 
-    Jobs with the same recording share their outputs.
+    Jobs with the same recording share their outputs. Without ``onnx`` there is no ``weights.onnx``, as in old jobs.
     """
     site = api.site(cameras=1)
     api.upload(site, recording)
@@ -45,17 +45,19 @@ def finished_job(api: LiveApi, recording: bytes = b"not looked at") -> str:
         claim = leases.claim(StageKey(job_id, stage.name), "tests")
         assert claim is not None, stage.name
         attempt = store.begin(stage.name, stage.hash)
-        _write(stage.name, attempt.output)
+        _write(stage.name, attempt.output, onnx)
         store.seal(attempt, {"stage": stage.name}, 0.1)
         leases.succeed(claim, {"stage": stage.name}, lambda attempt=attempt: store.reveal(attempt))  # type: ignore[misc]
     return job_id
 
 
-def _write(stage: str, folder: Path) -> None:
+def _write(stage: str, folder: Path, onnx: bool) -> None:
     if stage == "track":
         write_tracks(folder / "tracks.parquet", tracks())
     if stage == "finetune":
         (folder / "weights.safetensors").write_bytes(bytes(range(256)) * 4)
+        if onnx:
+            (folder / "weights.onnx").write_bytes(bytes(range(255, -1, -1)) * 3)
     if stage == "report":
         (folder / "report.html").write_text("<h1>report</h1>")
     documents: dict[str, tuple[str, Any]] = {

@@ -6,6 +6,7 @@ from collections.abc import Mapping
 from typing import Any, Literal
 
 import pydantic
+import pydantic_core
 from pydantic import BaseModel, ConfigDict, Field
 
 from wibam_core.errors import InvalidOption, UnknownOption
@@ -45,6 +46,11 @@ class DetectConfig(StageConfig):
     )
     min_score: float = Field(0.3, gt=0, lt=1)
     nms_iou: float = Field(0.6, gt=0, lt=1)
+    refine: Literal["auto", "on", "off"] = Field(
+        "auto",
+        description="look at every box again against the camera's still background, for sharper edges; 'auto': with the"
+        " bundled detector",
+    )
 
 
 class AssociateConfig(StageConfig):
@@ -67,18 +73,68 @@ class LiftConfig(StageConfig):
     min_views: int = Field(2, ge=2)
     iterations: int = Field(50, ge=5)
     max_residual: float = Field(0.2, gt=0, description="fits with a larger mean 1 - GIoU are not trained on")
+    learn_templates: bool = Field(True, description="correct each class's body by what all its tracks show")
+
+
+#: Options of fine-tuning that only some methods have a use for.
+_METHODS_WITH = {"own_view": ("paper", "combined"), "box_heads": ("paper",), "multiview_weight": ("combined",)}
 
 
 class FinetuneConfig(StageConfig):
-    method: Literal["lifted", "paper"] = Field("lifted", description="'paper': eq. 1 of the published method")
-    decode: Literal["plane", "depth"] = Field("plane", description="how boxes are placed along the ray")
+    method: Literal["lifted", "paper", "combined"] = Field(
+        "lifted",
+        description="'lifted': boxes fitted to all views; 'paper': eq. 1 of the published method; 'combined': both",
+    )
+    decode: Literal["plane", "depth", "fused"] = Field(
+        "plane",
+        description="how boxes are placed along the ray: by the ground plane, the regressed depth, or both by their"
+        " regressed uncertainties",
+    )
+    network: Literal["small", "custom"] = Field(
+        "small", description="'custom': the site's own network.safetensors (a converted CenterTrack DLA-34)"
+    )
+    device: Literal["auto", "cpu", "cuda"] = Field(
+        "auto", description="where to train; 'auto': on all CUDA devices that are visible, or else on the CPU"
+    )
     steps: int = Field(400, ge=1)
     batch_size: int = Field(8, ge=1)
     learning_rate: float | None = Field(
-        None, gt=0, description="peak rate; unless given, 2.5e-3 for 'lifted' and 1e-4 for 'paper'"
+        None,
+        gt=0,
+        description="peak rate; unless given, 1e-4 for 'paper' and 2.5e-3 for the others, or the published ones for"
+        " 'custom' networks",
+    )
+    own_view: bool = Field(
+        False,
+        description="'paper', 'combined': boxes must also fit the view they are predicted in, as in the published code",
+    )
+    box_heads: bool = Field(
+        False, description="'paper': also learn 2D centre offsets and box sizes by L1, as in the published code"
+    )
+    multiview_weight: float | None = Field(
+        None, gt=0, description="'combined': weight of the multi-view loss; unless given, 0.1"
     )
     steps_per_epoch: int = Field(50, ge=1, description="a checkpoint and a validation after each")
     seed: int = Field(0, ge=0, le=2**63 - 1)
+
+    @pydantic.field_validator("network")
+    @classmethod
+    def _can_be_decoded(cls, value: str, info: pydantic.ValidationInfo) -> str:
+        if value == "custom" and info.data.get("decode") == "fused":
+            message = "'custom' has no uncertainties for finetune.decode 'fused', only 'plane' and 'depth' are possible"
+            raise pydantic_core.PydanticCustomError("no_uncertainties", "{message}", {"message": message})
+        return value
+
+    @pydantic.field_validator(*_METHODS_WITH)
+    @classmethod
+    def _does_something(cls, value: bool | float | None, info: pydantic.ValidationInfo) -> bool | float | None:
+        """Refuse an option that the chosen method has no use for."""
+        methods = _METHODS_WITH[str(info.field_name)]
+        if value and info.data.get("method", methods[0]) not in methods:
+            useful = " and ".join(map(repr, methods))
+            message = f"it does nothing with method '{info.data['method']}', only with {useful}"
+            raise pydantic_core.PydanticCustomError("no_effect", "{message}", {"message": message})
+        return value
 
 
 class EvaluateConfig(StageConfig):

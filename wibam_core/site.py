@@ -2,7 +2,8 @@
 and the ``site.json`` of a site folder are this same model.
 
 A site folder holds ``site.json``, ``recordings/<camera id>.mp4`` (any container), and optionally ``labels.parquet``
-or ``labels.json`` (hand labels, for evaluation alone) and ``detector.onnx`` (a 2D detector of the user's own).
+or ``labels.json`` (hand labels, for evaluation alone), ``detector.onnx`` (a 2D detector of the user's own) and
+``network.safetensors`` (a 3D network of the user's own to start fine-tuning from).
 """
 
 from __future__ import annotations

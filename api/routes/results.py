@@ -52,15 +52,21 @@ def metrics(job_id: str, services: ServicesDep) -> JSONResponse:
     return JSONResponse(services.results.document(services.jobs.job(job_id), "evaluate", "metrics.json"))
 
 
-@router.get("/model", summary="Download the fine-tuned weights", response_class=FileResponse)
-def model(job_id: str, services: ServicesDep) -> FileResponse:
-    """safetensors. The headers tell the job, the address of the stage's outputs, and the SHA-256."""
+@router.get(
+    "/model",
+    summary="Download the fine-tuned model",
+    response_class=FileResponse,
+    dependencies=[ONLY_KNOWN_PARAMETERS],
+    responses=documented(422),
+)
+def model(job_id: str, services: ServicesDep, format: Literal["safetensors", "onnx"] = "safetensors") -> FileResponse:
+    """safetensors or ONNX. The headers tell the job, the address of the stage's outputs, and the SHA-256."""
     job = services.jobs.job(job_id)
-    artifact = services.results.artifact(job, "finetune", "weights.safetensors")
+    artifact = services.results.artifact(job, "finetune", f"weights.{format}")
     stage = job.stage("finetune")
     assert stage is not None
     extra = {"X-Wibam-Job": job.id, "X-Wibam-Site": job.site_id, "X-Wibam-Stage-Hash": stage.hash}
-    return _download(artifact, f"{job.id}.safetensors", extra)
+    return _download(artifact, f"{job.id}.{format}", extra)
 
 
 @router.get(

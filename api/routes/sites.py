@@ -56,7 +56,7 @@ def delete(site_id: str, services: ServicesDep) -> None:
 
 @router.get("/{site_id}/recordings", summary="List the files of a site", responses=documented(404))
 def recordings(site_id: str, services: ServicesDep) -> list[RecordingOut]:
-    """Recordings by camera, labels and detector. Upload again to replace one."""
+    """Recordings by camera, labels, detector and network. Upload again to replace one."""
     files = services.sites.files(site_id)
     probes = _probes(services, site_id)
     return [RecordingOut.of(file, probes.get(file.id) if file.purpose is Purpose.RECORDING else None) for file in files]

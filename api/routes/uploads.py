@@ -70,7 +70,8 @@ def create(
     upload_metadata: Annotated[
         str,
         Header(
-            description="`key base64,key base64`: `site` (id), `purpose` (recording, labels or detector), `camera` "
+            description="`key base64,key base64`: `site` (id), `purpose` (recording, labels, detector or "
+            "network), `camera` "
             "(of a recording), `filename` (for showing only)"
         ),
     ],

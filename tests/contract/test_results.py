@@ -153,6 +153,29 @@ class TestFiles:
         assert f'filename="{job}.safetensors"' in response.headers["content-disposition"]
         assert response.headers["repr-digest"].startswith("sha-256=:")
 
+    def test_the_model_comes_as_onnx_too(self, api: LiveApi, job: str) -> None:
+        response = api.http.get(f"/v1/jobs/{job}/model", params={"format": "onnx"})
+        assert response.content == bytes(range(255, -1, -1)) * 3
+        assert response.headers["x-wibam-job"] == job
+        assert f'filename="{job}.onnx"' in response.headers["content-disposition"]
+        explicit = api.http.get(f"/v1/jobs/{job}/model", params={"format": "safetensors"})
+        assert explicit.content == api.http.get(f"/v1/jobs/{job}/model").content
+
+    @pytest.mark.parametrize("params", [{"format": "pickle"}, {"formats": "onnx"}])
+    def test_a_model_of_another_format_is_refused(self, api: LiveApi, job: str, params: dict) -> None:
+        response = api.http.get(f"/v1/jobs/{job}/model", params=params)
+        assert response.status_code == 422, response.text
+        assert response.json()["hint"]
+
+    def test_a_job_from_before_onnx_says_so(self, api: LiveApi) -> None:
+        old = finished_job(api, b"seen by an old job", onnx=False)
+        response = api.http.get(f"/v1/jobs/{old}/model", params={"format": "onnx"})
+        assert response.status_code == 404, response.text
+        assert response.json()["code"] == "not_found"
+        assert "'weights.onnx'" in response.json()["detail"]
+        assert f"/v1/jobs/{old}/artifacts" in response.json()["hint"]
+        assert api.http.get(f"/v1/jobs/{old}/model").status_code == 200
+
     def test_ranges_are_served(self, api: LiveApi, job: str) -> None:
         path = f"/v1/jobs/{job}/artifacts/finetune/weights.safetensors"
         response = api.http.get(path, headers={"Range": "bytes=10-19"})
@@ -224,6 +247,7 @@ class TestClient:
         assert client.conflicts(job)["conflicts"] == [CONFLICT]
         assert len(list(client.tracks(job, vehicle_class=["bus"]))) == 50
         assert client.download_model(job, tmp_path / "w").read_bytes() == bytes(range(256)) * 4
+        assert client.download_model(job, tmp_path / "w.onnx", "onnx").read_bytes() == bytes(range(255, -1, -1)) * 3
         assert len(read_tracks(client.download_tracks(job, tmp_path / "t.parquet"))) == 2
         assert client.download_tracks(job, tmp_path / "t.csv", "csv").read_text().startswith('"time_ns"')
         assert "states" in client.download_tracks(job, tmp_path / "t.json", "json").read_text()

@@ -112,7 +112,7 @@ class SiteStore:
 
     # --- files ---------------------------------------------------------------------------------
     def files(self, site_id: str) -> list[StoredFile]:
-        """The current files of a site: recordings by camera, labels, detector.
+        """The current files of a site: recordings by camera, labels, detector, network.
 
         Raises:
             NotFound: there is no such site.

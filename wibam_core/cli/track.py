@@ -20,6 +20,7 @@ from wibam_core.formats.tracks import write_tracks
 from wibam_core.geometry.camera import Camera
 from wibam_core.models.convert import LICENCE_NOTE
 from wibam_core.models.dla34 import DLA34
+from wibam_core.models.onnx_network import OnnxNetwork
 from wibam_core.models.weights import bundled, load_monocular
 from wibam_core.scene import Track
 from wibam_core.tracking.recording import track_recording
@@ -41,7 +42,10 @@ def track(
     camera: Annotated[str | None, typer.Option(help="Which camera of the rig. Default: its first.")] = None,
     weights: Annotated[
         Path | None,
-        typer.Option(help="A fine-tuned model, or what `wibam weights convert` wrote. Default: the bundled model."),
+        typer.Option(
+            help="A fine-tuned model (safetensors or ONNX), or what `wibam weights convert` wrote. Default: the "
+            "bundled model."
+        ),
     ] = None,
     horizon: Annotated[float | None, typer.Option(help="Without a calibration: the horizon's row, px.")] = None,
     rate: Annotated[float, typer.Option(help="Frames per second that are tracked on.", min=0.1, max=120.0)] = 6.25,
@@ -59,7 +63,7 @@ def track(
         seen_by = nominal_camera(info.width_px, info.height_px, horizon_px=horizon)
     else:
         seen_by = _calibrated(calibration, camera, info)
-    network = load_monocular(weights or bundled("mono_small.safetensors"))
+    network = _network(weights or bundled("mono_small.safetensors"))
     if isinstance(network, DLA34):
         console.print(f"[yellow]{LICENCE_NOTE}[/]", highlight=False)
         console.print(
@@ -70,6 +74,13 @@ def track(
     write_tracks(out, tracks)
     console.print(_table(tracks, "nominal m" if calibration is None else "m"))
     console.print(f"{len(tracks)} tracks: [bold]{out}[/]", highlight=False)
+
+
+def _network(path: Path) -> OnnxNetwork | DLA34:
+    if path.suffix == ".onnx":
+        return OnnxNetwork.load(path)
+    network = load_monocular(path)
+    return network if isinstance(network, DLA34) else OnnxNetwork.of(network)
 
 
 def _calibrated(path: Path, camera_id: str | None, info: VideoInfo) -> Camera:

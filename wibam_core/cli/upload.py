@@ -89,13 +89,11 @@ def _send_files(client: WibamClient, folder: SiteFolder, console: Console, site_
             if not _is(path, there.get((Purpose.RECORDING, camera_id))):
                 with _naming(path):
                     client.upload_recording(site_id, camera_id, path, bar(camera_id, path))
-        labels, detector = folder.assets.get("labels"), folder.assets.get("detector")
-        if labels is not None and not _is(labels, there.get((Purpose.LABELS, ""))):
-            with _naming(labels):
-                client.upload_labels(site_id, labels, bar("labels", labels))
-        if detector is not None and not _is(detector, there.get((Purpose.DETECTOR, ""))):
-            with _naming(detector):
-                client.upload_detector(site_id, detector, bar("detector", detector))
+        sends = {"labels": client.upload_labels, "detector": client.upload_detector, "network": client.upload_network}
+        for name, path in folder.assets.items():
+            if not _is(path, there.get((Purpose(name), ""))):
+                with _naming(path):
+                    sends[name](site_id, path, bar(name, path))
 
 
 @contextmanager

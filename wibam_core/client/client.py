@@ -61,7 +61,7 @@ class WibamClient:
         self._connection.request("DELETE", f"/v1/sites/{site_id}")
 
     def files(self, site_id: str) -> list[FileView]:
-        """Recordings, labels and detector of a site."""
+        """Recordings, labels, detector and network of a site."""
         return [
             FileView.model_validate(item) for item in self._connection.json("GET", f"/v1/sites/{site_id}/recordings")
         ]
@@ -79,6 +79,10 @@ class WibamClient:
     def upload_detector(self, site_id: str, path: Path, progress: UploadProgress = lambda sent, size: None) -> None:
         """Send a 2D detector (ONNX)."""
         self._send(path, site_id, Purpose.DETECTOR, "", progress)
+
+    def upload_network(self, site_id: str, path: Path, progress: UploadProgress = lambda sent, size: None) -> None:
+        """Send a 3D network to start fine-tuning from (safetensors, as `wibam weights convert` writes it)."""
+        self._send(path, site_id, Purpose.NETWORK, "", progress)
 
     def _send(self, path: Path, site_id: str, purpose: Purpose, camera_id: str, progress: UploadProgress) -> None:
         send_file(self._connection, path, site_id, purpose, camera_id, progress, self._patience_s)
@@ -203,9 +207,9 @@ class WibamClient:
     def download_conflicts(self, job_id: str, target: Path, format: str = "csv") -> Path:
         return self._connection.download(f"/v1/jobs/{job_id}/conflicts", target, {"format": format})
 
-    def download_model(self, job_id: str, target: Path) -> Path:
-        """The fine-tuned weights (safetensors)."""
-        return self._connection.download(f"/v1/jobs/{job_id}/model", target)
+    def download_model(self, job_id: str, target: Path, format: str = "safetensors") -> Path:
+        """The fine-tuned model as a "safetensors" or "onnx" file."""
+        return self._connection.download(f"/v1/jobs/{job_id}/model", target, {"format": format})
 
     def download_report(self, job_id: str, target: Path) -> Path:
         """The HTML report."""

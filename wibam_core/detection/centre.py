@@ -14,7 +14,7 @@ from wibam_core.scene import CLASSES
 
 #: What the file's metadata calls this kind of network.
 FAMILY = "wibam-centre"
-INPUT_WIDTH_PX = 512
+INPUT_WIDTH_PX = 640
 STRIDE = 4
 _HEIGHT_MULTIPLE = 32
 
@@ -27,8 +27,8 @@ def is_centre_model(session: onnxruntime.InferenceSession) -> bool:
 class CentreDetector:
     """Runs the bundled network.
 
-    Its input ``image`` is (1, 3, H, 512) float32, BGR in 0..1, H padded at the bottom to a multiple of 32. Its outputs
-    are ``heat`` (1, C, H/4, 128), zero but at peaks, and ``ltrb`` (1, 4, H/4, 128) in cells of 4 px. The centre of cell
+    Its input ``image`` is (1, 3, H, 640) float32, BGR in 0..1, H padded at the bottom to a multiple of 32. Its outputs
+    are ``heat`` (1, C, H/4, 160), zero but at peaks, and ``ltrb`` (1, 4, H/4, 160) in cells of 4 px. The centre of cell
     (x, y) is ((x + 0.5)·4 − 0.5, (y + 0.5)·4 − 0.5) px of the input.
 
     Args:

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from wibam_core.config import EvaluateConfig
 from wibam_core.evaluation.labels_at import LabelTimeline
 from wibam_core.evaluation.matching import match_in_image, match_on_ground, paper_filter
-from wibam_core.evaluation.metrics import MatchMetrics, alias_share, compare, compare_as_published
+from wibam_core.evaluation.metrics import MatchMetrics, alias_share, box_errors, compare, compare_as_published
 from wibam_core.geometry.camera import Camera
 from wibam_core.scene import LabelledInstant, Vehicles3D
 
@@ -30,12 +30,16 @@ class Sightings:
 
     Attributes:
         vehicle_ids: (K,); a label without an id has a negative one of its own, the same for every detector.
+        classes: (K,) true ones, indices into `CLASSES`.
         visibility: (K,) in that camera. distance_m: (K,) from that camera over the ground.
+        elevation_deg: (K,) angle between the ground and the ray from that camera to the vehicle.
     """
 
     vehicle_ids: Indices
+    classes: Indices
     visibility: Array
     distance_m: Array
+    elevation_deg: Array
 
 
 @dataclass(frozen=True, eq=False)
@@ -43,7 +47,8 @@ class Evaluation:
     """What one detector got right and wrong.
 
     Attributes:
-        metrics, matched: of matched pairs, in the same order.
+        metrics, matched, errors, sd: of matched pairs, in the same order. errors: (K, 7) predicted less true box, the
+            yaw in (−π, π]. sd: (K, 7) standard deviations that the detector states; NaN where it states none.
         missed: labels that count and were not found. Always empty as published.
         false_positives: detections of nothing. 0 as published.
         alias_share: share of matches whose yaw is off by 150° or more.
@@ -52,6 +57,8 @@ class Evaluation:
 
     mode: Mode
     metrics: MatchMetrics
+    errors: Array
+    sd: Array
     matched: Sightings
     missed: Sightings
     false_positives: int
@@ -86,6 +93,8 @@ def evaluate(
     return Evaluation(
         mode=mode,
         metrics=compare(predicted, truth) if mode == "correct" else compare_as_published(predicted, truth),
+        errors=box_errors(predicted, truth),
+        sd=np.concatenate([np.empty((0, 7)), *(frame.sd for frame in frames)]),
         matched=_join([frame.matched for frame in frames]),
         missed=_join([frame.missed for frame in frames]),
         false_positives=sum(frame.false_positives for frame in frames),
@@ -97,6 +106,7 @@ def evaluate(
 @dataclass(frozen=True, eq=False)
 class _Frame:
     predicted: Array
+    sd: Array
     truth: Array
     matched: Sightings
     missed: Sightings
@@ -109,6 +119,7 @@ def _compare_frame(
     labels = instant.vehicles
     visibility = np.asarray(instant.visibility.get(str(found.camera_id), np.zeros(len(labels))), dtype=np.float64)
     distance = np.linalg.norm(labels.boxes[:, :2] - camera.centre_m[:2], axis=1)
+    elevation = np.degrees(np.arctan2(camera.centre_m[2] - labels.boxes[:, 2], distance))
     if mode == "paper_compat":
         found = found.where(paper_filter(found.boxes, found.scores))
         match = match_in_image(labels.boxes, visibility > 0, found.boxes, camera)
@@ -120,9 +131,11 @@ def _compare_frame(
         false_positives = match.false_positives[in_range[match.false_positives]]
         match = replace(match, false_positives=false_positives)
     unnamed = -1 - (number * _MOST_LABELS + np.arange(len(labels)))
-    sightings = Sightings(np.where(labels.ids < 0, unnamed, labels.ids), visibility, distance)
+    ids = np.where(labels.ids < 0, unnamed, labels.ids)
+    sightings = Sightings(ids, labels.classes, visibility, distance, elevation)
     return _Frame(
         found.boxes[match.detections],
+        found.sd[match.detections],
         labels.boxes[match.labels],
         _take(sightings, match.labels),
         _take(sightings, match.missed),
@@ -131,12 +144,12 @@ def _compare_frame(
 
 
 def _take(sightings: Sightings, rows: Indices) -> Sightings:
-    return Sightings(sightings.vehicle_ids[rows], sightings.visibility[rows], sightings.distance_m[rows])
+    return Sightings(**{name: values[rows] for name, values in vars(sightings).items()})
 
 
 def _join(parts: list[Sightings]) -> Sightings:
+    none = np.empty(0)
+    nobody = Sightings(none.astype(np.int64), none.astype(np.int64), none, none, none)
     return Sightings(
-        np.concatenate([np.empty(0, np.int64), *(part.vehicle_ids for part in parts)]),
-        np.concatenate([np.empty(0), *(part.visibility for part in parts)]),
-        np.concatenate([np.empty(0), *(part.distance_m for part in parts)]),
+        **{name: np.concatenate([getattr(part, name) for part in (nobody, *parts)]) for name in vars(nobody)}
     )

@@ -47,6 +47,13 @@ def compare(predicted: Array, truth: Array) -> MatchMetrics:
     )
 
 
+def box_errors(predicted: Array, truth: Array) -> Array:
+    """(K, 7) predicted less true boxes (K, 7), the yaw in (−π, π]."""
+    errors = predicted - truth
+    errors[:, 6] = normalise_angle(errors[:, 6])
+    return errors
+
+
 def compare_as_published(predicted: Array, truth: Array) -> MatchMetrics:
     """The same with the quirks of the published evaluation.
 

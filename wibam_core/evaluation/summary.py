@@ -12,11 +12,14 @@ from numpy.typing import NDArray
 
 from wibam_core.evaluation.evaluate import Evaluation
 from wibam_core.evaluation.metrics import METRICS
+from wibam_core.scene import CLASSES
 
 Array = NDArray[np.float64]
+Mask = NDArray[np.bool_]
 
 VISIBILITY_EDGES = (0.0, 0.3, 0.5, 0.7, 0.9, 1.0)
 DISTANCE_EDGES_M = (0.0, 10.0, 20.0, 30.0, 40.0, 50.0, math.inf)
+ELEVATION_EDGES_DEG = (-math.inf, 10.0, 20.0, 30.0, math.inf)
 
 
 def summarise(evaluation: Evaluation) -> dict[str, Any]:
@@ -58,6 +61,22 @@ def by_distance(evaluation: Evaluation) -> list[dict[str, Any]]:
     return _binned(evaluation, evaluation.matched.distance_m, evaluation.missed.distance_m, DISTANCE_EDGES_M)
 
 
+def by_elevation(evaluation: Evaluation) -> list[dict[str, Any]]:
+    """Metrics and recall in bins of the angle between the ground and the ray from the camera to the vehicle, deg."""
+    matched, missed = evaluation.matched.elevation_deg, evaluation.missed.elevation_deg
+    return _binned(evaluation, matched, missed, ELEVATION_EDGES_DEG)
+
+
+def by_class(evaluation: Evaluation) -> list[dict[str, Any]]:
+    """Metrics and recall of every true class that there is."""
+    found = []
+    for number, name in enumerate(CLASSES):
+        hit, miss = evaluation.matched.classes == number, evaluation.missed.classes == number
+        if hit.any() or miss.any():
+            found.append({"class": name.value, **_part(evaluation, hit, miss)})
+    return found
+
+
 def mean_sd(values: Array) -> dict[str, float | None]:
     """Mean and standard deviation (n − 1 in the denominator) of the finite values."""
     values = values[np.isfinite(values)]
@@ -75,17 +94,18 @@ def _binned(evaluation: Evaluation, matched: Array, missed: Array, edges: Sequen
         miss = (missed > low) & (missed <= high) | ((low == edges[0]) & (missed == low))
         if not hit.any() and not miss.any():
             continue
-        bins.append(
-            {
-                "low": low,
-                "high": _finite(high),
-                "matched": int(hit.sum()),
-                "missed": int(miss.sum()),
-                "recall": _ratio(int(hit.sum()), int(hit.sum() + miss.sum())),
-                **{name: mean_sd(getattr(evaluation.metrics, name)[hit]) for name in METRICS},
-            }
-        )
+        bins.append({"low": _finite(low), "high": _finite(high), **_part(evaluation, hit, miss)})
     return bins
+
+
+def _part(evaluation: Evaluation, hit: Mask, miss: Mask) -> dict[str, Any]:
+    """Figures of some matched (K,) and some missed vehicles (M,)."""
+    return {
+        "matched": int(hit.sum()),
+        "missed": int(miss.sum()),
+        "recall": _ratio(int(hit.sum()), int(hit.sum() + miss.sum())),
+        **{name: mean_sd(getattr(evaluation.metrics, name)[hit]) for name in METRICS},
+    }
 
 
 def _recall_sd(evaluation: Evaluation) -> float:

@@ -209,9 +209,16 @@ class FrameStore:
         Returns:
             The same shape.
         """
+        return self._scaled(camera_id, points, 1.0)
+
+    def to_stored_px(self, camera_id: str, points: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Pixels of the recording to pixels of stored frames, the inverse of `to_native_px`."""
+        return self._scaled(camera_id, points, -1.0)
+
+    def _scaled(self, camera_id: str, points: NDArray[np.float64], power: float) -> NDArray[np.float64]:
         size, native = np.array(self.size(camera_id)), np.array(self.native_size(camera_id))
         points = np.asarray(points, dtype=np.float64)
-        scale = np.tile(native / size, points.shape[-1] // 2)
+        scale = np.tile((native / size) ** power, points.shape[-1] // 2)
         return (points + 0.5) * scale - 0.5
 
     def _pack(self, camera_id: str) -> mmap.mmap:

@@ -18,6 +18,7 @@ class Purpose(StrEnum):
     RECORDING = "recording"
     LABELS = "labels"
     DETECTOR = "detector"
+    NETWORK = "network"
 
 
 @dataclass(frozen=True)
@@ -145,7 +146,7 @@ class Job:
 
     @property
     def assets(self) -> dict[str, StoredFile]:
-        """ "labels", "detector" -> file."""
+        """ "labels", "detector", "network" -> file."""
         return {file.purpose.value: file for file in self.files if file.purpose is not Purpose.RECORDING}
 
 

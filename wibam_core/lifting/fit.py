@@ -15,6 +15,7 @@ import torch
 from torch import Tensor
 
 from wibam_core.geometry.torch_ops import CameraTensors, giou, project_camera_points
+from wibam_core.scene import FloatArray
 
 #: Order of the unknowns.
 X, Y, LOG_LENGTH, LOG_WIDTH, LOG_HEIGHT, YAW = range(6)
@@ -23,7 +24,7 @@ X, Y, LOG_LENGTH, LOG_WIDTH, LOG_HEIGHT, YAW = range(6)
 _EDGE_SD_PX = 1.0
 _EDGE_SD_SHARE = 0.03
 #: Residuals beyond this many standard deviations lose weight (Cauchy).
-_ROBUST_SD = 2.5
+ROBUST_SD = 2.5
 #: A view with a body point nearer than this along the optical axis is not compared, m.
 _NEAREST_M = 0.5
 _CHUNK = 4096
@@ -130,7 +131,7 @@ def evaluate(problem: FitProblem, parameters: Tensor) -> Fit:
     """Cost, information and overlap of given solutions (B, 6)."""
     state = _linearise(problem, parameters)
     compared = state.exact & state.used[..., None]
-    residuals = torch.where(compared, (state.predicted - problem.boxes) / _edge_sd(problem), torch.nan)
+    residuals = torch.where(compared, (state.predicted - problem.boxes) / edge_sd(problem), torch.nan)
     return Fit(parameters, state.cost, state.data_hessian, _view_giou(problem, state), residuals)
 
 
@@ -194,14 +195,14 @@ class _State:
 
 def _linearise(problem: FitProblem, parameters: Tensor) -> _State:
     """Robust cost, gradient and Gauss–Newton Hessian at (B, 6)."""
-    edges, jacobian, exact, used = _predicted_edges(problem, parameters)
-    sd = _edge_sd(problem)
+    edges, jacobian, exact, used = predicted_edges(problem, parameters)
+    sd = edge_sd(problem)
     residual = (edges - problem.boxes) / sd
     outward = residual.new_tensor([-1.0, -1.0, 1.0, 1.0])
     beyond = residual * outward >= 0
     compared = used[..., None] & (exact | ~beyond)
     residual = torch.where(compared, residual, torch.zeros_like(residual))
-    squared = (residual / _ROBUST_SD) ** 2
+    squared = (residual / ROBUST_SD) ** 2
     weight = compared / (1 + squared)
     prior_residual = parameters - problem.prior_mean
     turn = prior_residual[:, YAW]
@@ -209,7 +210,7 @@ def _linearise(problem: FitProblem, parameters: Tensor) -> _State:
     # a view that drops out must not make a fit cheaper
     lost = (problem.seen & ~used).sum(dim=1) * (4 * 9.0)
     cost = (
-        0.5 * _ROBUST_SD**2 * torch.log1p(squared).sum(dim=(1, 2))
+        0.5 * ROBUST_SD**2 * torch.log1p(squared).sum(dim=(1, 2))
         + 0.5 * (problem.prior_weight * prior_residual**2).sum(dim=1)
         + lost
     )
@@ -221,14 +222,14 @@ def _linearise(problem: FitProblem, parameters: Tensor) -> _State:
     return _State(cost, gradient, hessian, data_hessian, edges, exact, used)
 
 
-def _edge_sd(problem: FitProblem) -> Tensor:
-    """(B, V, 4) px."""
+def edge_sd(problem: FitProblem) -> Tensor:
+    """(B, V, 4) standard deviations of the boxes' edges, px."""
     sides = (problem.boxes[..., 2:] - problem.boxes[..., :2]).repeat(1, 1, 2)
     sd = torch.hypot(torch.full_like(sides, _EDGE_SD_PX), _EDGE_SD_SHARE * sides)
     return sd * problem.noise[:, None, None]
 
 
-def _predicted_edges(problem: FitProblem, parameters: Tensor) -> tuple[Tensor, Tensor, Tensor, Tensor]:
+def predicted_edges(problem: FitProblem, parameters: Tensor) -> tuple[Tensor, Tensor, Tensor, Tensor]:
     """Edges (B, V, 4) of the body's image boxes, their derivatives (B, V, 4, 6), which edges can be compared both ways
     (B, V, 4), and which views can be compared at all (B, V)."""
     size = parameters[:, LOG_LENGTH : LOG_HEIGHT + 1].exp()
@@ -313,3 +314,8 @@ def yaw_starts(parameters: Tensor, turns: int) -> Tensor:
 def with_noise(problem: FitProblem, noise: float) -> FitProblem:
     """The same problem with edges that are ``noise`` times worse than a good detector's."""
     return replace(problem, noise=torch.full_like(problem.noise, noise))
+
+
+def with_bodies(problem: FitProblem, bodies: FloatArray) -> FitProblem:
+    """The same problem with other bodies (B, P, 3)."""
+    return replace(problem, body=torch.as_tensor(bodies, dtype=problem.body.dtype))

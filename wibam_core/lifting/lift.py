@@ -16,10 +16,11 @@ from wibam_core.geometry.camera import Camera
 from wibam_core.geometry.se3 import SE3, normalise_angle
 from wibam_core.geometry.torch_ops import CameraTensors
 from wibam_core.lifting.confidence import confidence
-from wibam_core.lifting.fit import YAW, Fit, FitProblem, fit, joined, with_noise, yaw_starts
+from wibam_core.lifting.fit import YAW, Fit, FitProblem, fit, joined, with_bodies, with_noise, yaw_starts
 from wibam_core.lifting.noise import noise_of, persistence
 from wibam_core.lifting.observations import Observations, observe
 from wibam_core.lifting.orientation import standing_headings
+from wibam_core.lifting.shapes import Shapes, learn_shapes
 from wibam_core.lifting.sizes import size_information, track_sizes
 from wibam_core.lifting.templates import LOG_SIZE_MEAN, LOG_SIZE_SD, TEMPLATES
 from wibam_core.lifting.trajectory import Motion, Tracks, headings, smooth
@@ -76,7 +77,7 @@ def lift(
     Args:
         instants: associated, in order of time. The denser, the better the motion.
         rig: the cameras that the instants name.
-        config: fewest views, most steps, largest residual.
+        config: fewest views, most steps, largest residual, whether bodies are corrected.
         progress: told now and then.
         heading_hints: track id -> yaw in the world (rad) from elsewhere, e.g. a network; it only decides which end of
             a vehicle that never moves is its front.
@@ -88,7 +89,8 @@ def lift(
     seen = _worth_fitting(observe(instants, rig, 1), config.min_views)
     if not len(seen):
         return LiftResult(
-            [Vehicles3D.of(i.time_ns, np.empty((0, 7))) for i in instants], _statistics(seen, None, None, 1.0, 0.0)
+            [Vehicles3D.of(i.time_ns, np.empty((0, 7))) for i in instants],
+            _statistics(seen, None, None, 1.0, 0.0, Shapes.unlearned()),
         )
     # fits are float32, and a world's origin may be far away, as in UTM: they count from the middle of the cameras
     origin = rig_centre(rig)
@@ -104,10 +106,15 @@ def lift(
     prior_mean, prior_sd = LOG_SIZE_MEAN[seen.classes], LOG_SIZE_SD[seen.classes]
 
     progress(0.1, f"fitting {len(seen)} vehicles one by one")
-    problem = _problem(seen, cameras, tracks, motion, prior_mean, prior_sd, yaw, 2 * yaw_sd)
+    problem = _problem(seen, cameras, tracks, motion, prior_mean, prior_sd, yaw, 2 * yaw_sd, TEMPLATES)
     known = np.isfinite(yaw_sd)
     noise = _estimate_noise(problem, known, views, config.iterations)
     problem = with_noise(problem, noise)
+    shapes = Shapes.unlearned()
+    if config.learn_templates:
+        usable = known & (views >= config.min_views)
+        shapes = learn_shapes(problem, seen.classes, tracks, usable, config.iterations)
+        problem = with_bodies(problem, shapes.bodies[seen.classes])
     first = _first_fit(problem, known, config.iterations)
     parameters, covariance = _solution(first, problem)
 
@@ -125,7 +132,7 @@ def lift(
 
     progress(0.6, "fitting again with one size and heading per track")
     tight = np.full_like(own_size_sd, 0.01)
-    problem = with_noise(_problem(seen, cameras, tracks, motion, own_size, tight, yaw, yaw_sd), noise)
+    problem = with_noise(_problem(seen, cameras, tracks, motion, own_size, tight, yaw, yaw_sd, shapes.bodies), noise)
     start = np.concatenate([parameters[:, :2], own_size, yaw[:, None]], axis=1)
     second = fit(problem, torch.as_tensor(start[:, None], dtype=torch.float32), config.iterations)
     parameters, covariance = _solution(second, problem)
@@ -147,7 +154,7 @@ def lift(
     keep = (residual <= config.max_residual) & ((views >= config.min_views) | certain)
     vehicles = _by_instant(instants, seen, keep, boxes, _box_sd(sd, boxes), scores)
     progress(1.0, "lifted")
-    return LiftResult(vehicles, _statistics(seen, residual, keep, noise, lasting))
+    return LiftResult(vehicles, _statistics(seen, residual, keep, noise, lasting, shapes))
 
 
 def _moved(camera: Camera, shift_m: FloatArray) -> Camera:
@@ -178,6 +185,7 @@ def _problem(
     log_size_sd: FloatArray,
     yaw: FloatArray,
     yaw_sd: FloatArray,
+    bodies: FloatArray,
 ) -> FitProblem:
     def tensor(values: FloatArray) -> torch.Tensor:
         return torch.as_tensor(values, dtype=torch.float32)
@@ -191,7 +199,7 @@ def _problem(
         exact=torch.as_tensor(seen.exact),
         cut=torch.as_tensor(seen.cut),
         shift=tensor(velocity[:, None] * seen.lateness_s[..., None]),
-        body=tensor(TEMPLATES[seen.classes]),
+        body=tensor(bodies[seen.classes]),
         noise=torch.ones(len(seen)),
         prior_mean=tensor(np.concatenate([seen.positions, log_size, yaw[:, None]], axis=1)),
         prior_weight=tensor(np.concatenate([none, log_size_sd**-2.0, yaw_sd[:, None] ** -2.0], axis=1)),
@@ -271,7 +279,12 @@ def _by_instant(
 
 
 def _statistics(
-    seen: Observations, residual: FloatArray | None, keep: np.ndarray | None, noise: float, lasting: float
+    seen: Observations,
+    residual: FloatArray | None,
+    keep: np.ndarray | None,
+    noise: float,
+    lasting: float,
+    shapes: Shapes,
 ) -> dict[str, Any]:
     if residual is None or keep is None:
         return {"fits": 0, "kept": 0, "tracks": 0}
@@ -283,6 +296,7 @@ def _statistics(
         "tracks": len(np.unique(seen.tracks)),
         "edge_noise": noise,
         "edge_persistence": lasting,
+        "templates": shapes.statistics(),
         "residual": {f"p{p}": float(np.percentile(residual, p)) for p in (10, 50, 90)},
         "by_views": {
             str(n): {"fits": int((views == n).sum()), "residual": float(np.median(residual[views == n]))}

@@ -3,10 +3,12 @@
 A vehicle is a peak of its class's heat; the heads there give the centre of its 2D box (``reg``) and the box's size
 (``wh``), from there to the projected 3D centre (``amodel_offset``), the depth along the optical axis (``dep``), the
 size (``dim``: height, width, length) and alpha in two bins (``rot``). Only this module knows that order and frame.
+From maps to boxes it is differentiable, and the same code in losses and at inference.
 """
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from types import MappingProxyType
@@ -18,8 +20,8 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from wibam_core.geometry.camera import Camera
-from wibam_core.geometry.se3 import normalise_angle
-from wibam_core.models.decode import find_peaks
+from wibam_core.geometry.torch_ops import CameraTensors, intersect_plane, rays
+from wibam_core.models.decode import Decode, azimuths_rad, find_peaks, focal_px, wrap_angle
 from wibam_core.models.dla34 import DLA34, STRIDE
 from wibam_core.models.inference import Frame, distinct
 from wibam_core.scene import VehicleClass, Vehicles3D
@@ -50,6 +52,12 @@ VEHICLES: Mapping[str, VehicleClass] = MappingProxyType(
         "construction_vehicle": VehicleClass.TRUCK,
     }
 )
+
+#: The heat map's channels of `VEHICLES`, in that order.
+VEHICLE_CHANNELS = tuple(NUSCENES_CLASSES.index(name) for name in VEHICLES)
+
+#: Alpha in the middle of each of the two bins of ``rot``.
+BIN_CENTRES_RAD = (-math.pi / 2, math.pi / 2)
 
 #: Longer side of the input, px. 1920x1080 gives the published 800x448.
 LONG_SIDE_PX = 800
@@ -93,13 +101,111 @@ class InputWarp:
         """Image px (..., 2) of fractional output cells (..., 2)."""
         return (cells * STRIDE - np.array(self.input_px) / 2) / self.scale + np.array(self.size_px) / 2
 
+    def matrix(self) -> Array:
+        """(3, 3) homogeneous image px to input px."""
+        shift = np.array(self.input_px) / 2 - self.scale * np.array(self.size_px) / 2
+        return np.array([[self.scale, 0.0, shift[0]], [0.0, self.scale, shift[1]], [0.0, 0.0, 1.0]])
+
+    def image(self, image: NDArray[np.uint8]) -> NDArray[np.uint8]:
+        """The image (H, W, 3) as the network sees it, (H', W', 3)."""
+        warped = cv2.warpAffine(image, self.matrix()[:2], self.input_px, flags=cv2.INTER_LINEAR)
+        return np.asarray(warped, dtype=np.uint8)
+
+    def camera(self, camera: Camera) -> Camera:
+        """The camera of the input, for that of the image."""
+        return Camera(self.matrix() @ camera.K, camera.dist, camera.T_world_cam, *self.input_px)
+
     def to_input(self, image: NDArray[np.uint8]) -> Tensor:
         """BGR image (H, W, 3) to the normalised input (1, 3, H', W'), float32."""
-        shift = np.array(self.input_px) / 2 - self.scale * np.array(self.size_px) / 2
-        matrix = np.array([[self.scale, 0.0, shift[0]], [0.0, self.scale, shift[1]]])
-        warped = cv2.warpAffine(image, matrix, self.input_px, flags=cv2.INTER_LINEAR)
-        normalised = (np.asarray(warped, dtype=np.float32) / 255.0 - _MEAN) / _STD
-        return torch.from_numpy(np.ascontiguousarray(normalised.transpose(2, 0, 1)))[None]
+        return normalised(self.image(image)[None])
+
+
+def normalised(images: NDArray[np.uint8]) -> Tensor:
+    """Warped BGR images (B, H', W', 3) as the network's input (B, 3, H', W'), float32."""
+    values = (images.astype(np.float32) / 255.0 - _MEAN) / _STD
+    return torch.from_numpy(np.ascontiguousarray(values.transpose(0, 3, 1, 2)))
+
+
+@dataclass(frozen=True, eq=False)
+class HeadValues:
+    """What the heads say of N cells; on the CPU, float64 but for the indices.
+
+    Attributes:
+        image: (N,) index in the batch. cells: (N, 2) x, y.
+        centre2d: (N, 2) centre of the 2D box, wh: (N, 2) its size, centre3d: (N, 2) the projected 3D centre; cells.
+        dep: (N,) raw, see `depths_m`. size_m: (N, 3) length, width, height. rot: (N, 8) raw, see `alphas_rad`.
+    """
+
+    image: Tensor
+    cells: Tensor
+    centre2d: Tensor
+    wh: Tensor
+    centre3d: Tensor
+    dep: Tensor
+    size_m: Tensor
+    rot: Tensor
+
+
+def read_heads(heads: Mapping[str, Tensor], image: Tensor, cells: Tensor) -> HeadValues:
+    """Read raw head outputs (B, C, H, W) at cells (N, 2) x, y of the images (N,)."""
+    columns, rows = cells.unbind(-1)
+
+    def at(name: str) -> Tensor:
+        return heads[name][image, :, rows, columns].cpu().double()
+
+    centre2d = cells + at("reg")
+    return HeadValues(
+        image,
+        cells,
+        centre2d,
+        at("wh"),
+        centre2d + at("amodel_offset"),
+        at("dep")[:, 0],
+        at("dim")[:, [2, 1, 0]],
+        at("rot"),
+    )
+
+
+def boxes3d(values: HeadValues, cameras: CameraTensors, decode: Decode) -> Tensor:
+    """World boxes (N, 7) seen by the cameras (B,) of the inputs, float64.
+
+    ``depth``, the published way: the centre lies at the depth that the network gives, on the ray through the projected
+    3D centre. ``plane``: it lies where that ray meets the plane z = height / 2. There are no uncertainties to fuse the
+    two by.
+    """
+    if decode == "fused":
+        raise ValueError("DLA-34's boxes are placed by 'plane' or 'depth'")
+    seen_by = cameras[values.image]
+    pixels = values.centre3d * STRIDE
+    directions = rays(seen_by, pixels)
+    if decode == "plane":
+        position = intersect_plane(seen_by, pixels, values.size_m[:, 2] / 2)
+    else:
+        along_axis = (directions * seen_by.rotation[:, 2]).sum(dim=-1)
+        position = seen_by.centre_m + directions * (depths_m(values.dep, seen_by) / along_axis)[:, None]
+    yaw = wrap_angle(azimuths_rad(directions) - torch.pi / 2 - alphas_rad(values.rot))
+    return torch.cat([position, values.size_m, yaw[:, None]], dim=-1)
+
+
+def depths_m(dep: Tensor, cameras: CameraTensors) -> Tensor:
+    """(N,) depths along the optical axes of the inputs' cameras (N,).
+
+    The network sees only how large a thing is in its input. The same size means a depth in proportion to the focal
+    length there.
+    """
+    trained_m = 1.0 / (dep.clamp(-50.0, 50.0).sigmoid() + 1e-6) - 1.0
+    return trained_m * focal_px(cameras) / TRAINED_FOCAL_PX
+
+
+def alphas_rad(rot: Tensor) -> Tensor:
+    """(N,) alpha of the more probable of two bins, from (N, 8): per bin two logits, sin and cos.
+
+    Alpha turns clockwise, seen from above, from "heads right across the line of sight". Added to the ray's angle in a
+    level camera it gives the published rotation about the camera's y axis. Taken from the azimuth of the world ray it
+    gives the yaw in the world, whatever the camera's pitch and roll.
+    """
+    in_bins = torch.atan2(rot[:, [2, 6]], rot[:, [3, 7]]) + rot.new_tensor(BIN_CENTRES_RAD)
+    return torch.where(rot[:, 1] > rot[:, 5], in_bins[:, 0], in_bins[:, 1])
 
 
 @dataclass(frozen=True, eq=False)
@@ -118,7 +224,9 @@ class Decoded:
     scores: Array
 
 
-def decode_vehicles(heads: Mapping[str, Tensor], warp: InputWarp, camera: Camera, min_score: float) -> Decoded:
+def decode_vehicles(
+    heads: Mapping[str, Tensor], warp: InputWarp, camera: Camera, min_score: float, decode: Decode = "depth"
+) -> Decoded:
     """Vehicles from the raw head outputs of one image.
 
     The classes that are vehicles compete for a peak, so that one vehicle is not found once as a truck and once as a
@@ -126,23 +234,18 @@ def decode_vehicles(heads: Mapping[str, Tensor], warp: InputWarp, camera: Camera
     numbers that are not finite, is left out too.
 
     Args:
-        heads: name -> (1, C, H, W), see `wibam_core.models.dla34.HEADS`.
+        heads: name -> (1, C, H, W), see `wibam_core.models.dla34.HEADS`; on the CPU.
         warp: that made the input.
         camera: of the image's size.
         min_score: weaker peaks are left out.
+        decode: how boxes are placed along the ray, see `boxes3d`.
     """
-    channels = [NUSCENES_CLASSES.index(name) for name in VEHICLES]
-    peaks = find_peaks(heads["hm"][:, channels], min_score, _TOP_K)
-    columns, rows = peaks.cells.unbind(-1)
-    at = {name: values[0, :, rows, columns].T.double().numpy() for name, values in heads.items()}
-    centre2d = peaks.cells.double().numpy() + at["reg"]
-    half = np.maximum(at["wh"], 0.0) / 2
+    peaks = find_peaks(heads["hm"][:, VEHICLE_CHANNELS], min_score, _TOP_K)
+    values = read_heads(heads, peaks.image, peaks.cells)
+    cameras = CameraTensors.from_cameras([warp.camera(camera)], torch.float64)
+    boxes = boxes3d(values, cameras, decode).numpy()
+    centre2d, half = values.centre2d.numpy(), values.wh.clamp_min(0.0).numpy() / 2
     boxes2d = np.concatenate([warp.pixels(centre2d - half), warp.pixels(centre2d + half)], axis=1)
-    centre3d_px = warp.pixels(centre2d + at["amodel_offset"])
-    with np.errstate(invalid="ignore", over="ignore"):
-        position, azimuth_rad = _place(camera, centre3d_px, _depths_m(at["dep"][:, 0], warp.scale, camera))
-        yaw_rad = normalise_angle(azimuth_rad - np.pi / 2 - _alphas_rad(at["rot"]))
-    boxes = np.concatenate([position, at["dim"][:, [2, 1, 0]], yaw_rad[:, None]], axis=1)
     kinds = np.array([kind.number for kind in VEHICLES.values()])
     found = Decoded(boxes, boxes2d, kinds[peaks.classes.numpy()], peaks.scores.double().numpy())
     possible = np.flatnonzero(np.isfinite(np.hstack([boxes, boxes2d])).all(axis=1) & (boxes[:, 3:6] > 0).all(axis=1))
@@ -150,55 +253,31 @@ def decode_vehicles(heads: Mapping[str, Tensor], warp: InputWarp, camera: Camera
     return Decoded(found.boxes[kept], found.boxes2d[kept], found.classes[kept], found.scores[kept])
 
 
-def _depths_m(raw: Array, scale: float, camera: Camera) -> Array:
-    """(N,) depths along the optical axis.
-
-    The network sees only how large a thing is in its input. The same size means a depth in proportion to the focal
-    length there.
-    """
-    focal_px = scale * float(np.sqrt(camera.K[0, 0] * camera.K[1, 1]))
-    inverse = 1.0 / (1.0 + np.exp(-np.clip(raw, -50.0, 50.0)))
-    return np.asarray((1.0 / (inverse + 1e-6) - 1.0) * focal_px / TRAINED_FOCAL_PX)
-
-
-def _place(camera: Camera, pixels: Array, depths_m: Array) -> tuple[Array, Array]:
-    """World points (N, 3) at the depths (N,) on the rays through pixels (N, 2), and the rays' azimuths (N,)."""
-    directions = camera.rays(pixels)
-    along_axis = directions @ camera.T_world_cam.rotation[:, 2]
-    points = camera.centre_m + directions * (depths_m / along_axis)[:, None]
-    return points, np.arctan2(directions[:, 1], directions[:, 0])
-
-
-def _alphas_rad(rot: Array) -> Array:
-    """(N,) alpha of the more probable of two bins, from (N, 8): per bin two logits, sin and cos.
-
-    Alpha turns clockwise, seen from above, from "heads right across the line of sight". Added to the ray's angle in a
-    level camera it gives the published rotation about the camera's y axis. Taken from the azimuth of the world ray it
-    gives the yaw in the world, whatever the camera's pitch and roll.
-    """
-    first = np.arctan2(rot[:, 2], rot[:, 3]) - np.pi / 2
-    second = np.arctan2(rot[:, 6], rot[:, 7]) + np.pi / 2
-    return np.where(rot[:, 1] > rot[:, 5], first, second)
-
-
 def predict_vehicles(
-    network: DLA34, frames: Iterable[Frame], *, min_score: float, long_side_px: int = LONG_SIDE_PX
+    network: DLA34,
+    frames: Iterable[Frame],
+    *,
+    min_score: float,
+    decode: Decode = "depth",
+    long_side_px: int = LONG_SIDE_PX,
 ) -> Iterator[Vehicles3D]:
     """Detect vehicles: one `Vehicles3D` in the world per frame, in the frames' order; standard deviations unknown.
 
     Args:
-        network: on the CPU; put into evaluation mode while it runs.
+        network: on any device; put into evaluation mode while it runs.
         frames: consumed one at a time.
         min_score: peaks below it are left out.
+        decode: how boxes are placed along the ray, see `boxes3d`.
         long_side_px: of the input.
     """
+    device = next(network.parameters()).device
     for frame in frames:
         height_px, width_px = frame.image.shape[:2]
         warp = InputWarp.of(width_px, height_px, long_side_px)
         network.eval()
         with torch.inference_mode():
-            heads = network(warp.to_input(frame.image))
-            found = decode_vehicles(heads, warp, frame.camera.resized(width_px, height_px), min_score)
+            heads = {name: values.cpu() for name, values in network(warp.to_input(frame.image).to(device)).items()}
+            found = decode_vehicles(heads, warp, frame.camera.resized(width_px, height_px), min_score, decode)
         yield Vehicles3D.of(
             frame.time_ns, found.boxes, classes=found.classes, scores=found.scores, camera_id=frame.camera_id
         )

@@ -5,8 +5,9 @@ Maps have a pixel frame of their own: cell (x, y) is centred on input pixel ``(x
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from typing import Literal
+from typing import Any, Literal, get_args
 
 import torch
 from torch import Tensor
@@ -16,7 +17,16 @@ from wibam_core.geometry.torch_ops import CameraTensors, rays
 from wibam_core.models.small import REFERENCE_FOCAL_PX, SmallOutputs
 from wibam_core.models.trunk import STRIDE
 
-Decode = Literal["plane", "depth"]
+Decode = Literal["plane", "depth", "fused"]
+
+
+def read_decode(curves: Mapping[str, Any]) -> Decode:
+    """How a finetune stage's ``curves.json`` says that boxes are to be placed; old ones by the plane."""
+    decode: Decode = curves.get("decode", "plane")
+    if decode not in get_args(Decode):
+        raise ValueError(f"no decoding is called {decode!r}")
+    return decode
+
 
 #: Rays less steep than this (m down per m) are taken as this steep when they are met with a plane: a ray along
 #: the horizon meets it nowhere.
@@ -90,23 +100,51 @@ def boxes3d(values: PeakValues, cameras: CameraTensors, mean_sizes_m: Tensor, de
 
     ``plane``: the centre lies where the ray through the projected 3D centre meets the plane z = height / 2.
     ``depth``: the centre lies on that ray at the regressed depth.
+    ``fused``: on that ray between the two, each weighted by its regressed precision, and half its height above ground.
     """
     seen_by = cameras[values.image]
     sizes = sizes_m(values, mean_sizes_m)
-    position = _positions(seen_by, values, sizes[:, 2], decode)
+    position = _positions(seen_by, values, sizes[:, 2], _plane_share(seen_by, values, sizes[:, 2], decode))
     azimuth = azimuths_rad(rays(seen_by, centres3d_px(values)))
     yaw = azimuth + torch.atan2(values.yaw[:, 0], values.yaw[:, 1])
     return torch.cat([position, sizes, wrap_angle(yaw)[:, None]], dim=-1)
 
 
-def _positions(seen_by: CameraTensors, values: PeakValues, height_m: Tensor, decode: Decode) -> Tensor:
-    """(N, 3) centres of vehicles of the given heights (N,)."""
+def _positions(seen_by: CameraTensors, values: PeakValues, height_m: Tensor, plane_share: Tensor | None) -> Tensor:
+    """(N, 3) centres of vehicles of the given heights (N,).
+
+    ``plane_share`` (N,) is how far the plane decides the reach along the ray, against the depth; without one the depth
+    alone decides, and the height of the centre too.
+    """
     directions = rays(seen_by, centres3d_px(values))
-    if decode == "plane":
-        return torch.cat([_on_plane(seen_by, directions, height_m / 2), height_m[:, None] / 2], dim=-1)
-    along_axis = (directions * seen_by.rotation[:, 2]).sum(dim=-1)
     depth = values.depth.clamp(-2.0, 7.0).exp() * focal_px(seen_by) / REFERENCE_FOCAL_PX
-    return seen_by.centre_m + directions * (depth / along_axis)[:, None]
+    reach = depth / (directions * seen_by.rotation[:, 2]).sum(dim=-1)
+    if plane_share is None:
+        return seen_by.centre_m + directions * reach[:, None]
+    reach = torch.lerp(reach, _reach_of_plane(seen_by, directions, height_m / 2), plane_share)
+    ground = seen_by.centre_m[:, :2] + directions[:, :2] * reach[:, None]
+    return torch.cat([ground, height_m[:, None] / 2], dim=-1)
+
+
+def _plane_share(seen_by: CameraTensors, values: PeakValues, height_m: Tensor, decode: Decode) -> Tensor | None:
+    """(N,) see `_positions`; without gradient, since only errors may teach the uncertainties."""
+    if decode == "depth":
+        return None
+    if decode == "plane":
+        return torch.ones_like(height_m)
+    with torch.no_grad():
+        scale = _deviations(values)
+        pixels = centres3d_px(values)
+        directions = rays(seen_by, pixels)
+        step = torch.zeros_like(pixels)
+        step[:, 1] = scale[:, 0] * STRIDE
+        higher = _reach_of_plane(seen_by, rays(seen_by, pixels - step), height_m / 2)
+        lower = _reach_of_plane(seen_by, rays(seen_by, pixels + step), height_m / 2)
+        taller = _reach_of_plane(seen_by, directions, height_m / 2 * (1 + scale[:, 2]))
+        reach = _reach_of_plane(seen_by, directions, height_m / 2)
+        of_plane = ((higher - lower) / 2).square() + (taller - reach).square()
+        of_depth = (reach * scale[:, 1]).square()
+        return of_depth / (of_plane + of_depth)
 
 
 def centres3d_px(values: PeakValues) -> Tensor:
@@ -119,11 +157,15 @@ def focal_px(cameras: CameraTensors) -> Tensor:
     return torch.sqrt(cameras.K[:, 0, 0] * cameras.K[:, 1, 1])
 
 
-def _on_plane(cameras: CameraTensors, directions: Tensor, height_m: Tensor) -> Tensor:
-    """(N, 2) where rays (N, 3) meet the planes z = height_m (N,)."""
+def _reach_of_plane(cameras: CameraTensors, directions: Tensor, height_m: Tensor) -> Tensor:
+    """(N,) how many times their length rays (N, 3) reach until they meet the planes z = height_m (N,)."""
     descent = torch.minimum(directions[:, 2], -_MIN_DESCENT * torch.linalg.norm(directions[:, :2], dim=-1))
-    reach = (height_m - cameras.centre_m[:, 2]) / descent
-    return cameras.centre_m[:, :2] + directions[:, :2] * reach[:, None]
+    return (height_m - cameras.centre_m[:, 2]) / descent
+
+
+def _deviations(values: PeakValues) -> Tensor:
+    """(N, 4) standard deviations of `UNCERTAINTY_GROUPS`: a regressed scale is that of a Laplace distribution."""
+    return values.log_scale.clamp(-6.0, 3.0).exp() * 2**0.5
 
 
 def azimuths_rad(rays: Tensor) -> Tensor:
@@ -139,30 +181,28 @@ def wrap_angle(angle_rad: Tensor) -> Tensor:
 def standard_deviations(values: PeakValues, boxes: Tensor, cameras: CameraTensors, decode: Decode) -> Tensor:
     """(N, 7) standard deviations of boxes (N, 7) in m and rad, from the regressed scales.
 
-    The centre's follows from one standard deviation of the projected 3D centre, moved over the ground, or of that and
-    of the depth under depth decoding; a regressed scale is a Laplace distribution's, whose standard deviation is √2 of
-    it.
+    The centre's follows from one standard deviation of the projected 3D centre, moved along the ray as the decoding
+    moves it, and, unless the plane alone decides, one of the depth.
     """
-    scale = values.log_scale.clamp(-6.0, 3.0).exp() * 2**0.5
+    scale = _deviations(values)
     size_sd = boxes[:, 3:6] * scale[:, 2:3]
     seen_by = cameras[values.image]
     height_m = boxes[:, 5]
+    plane_share = _plane_share(seen_by, values, height_m, decode)
 
     def spread(name: str, step: Tensor) -> Tensor:
         value: Tensor = getattr(values, name)
         low, high = (
-            _positions(seen_by, replace(values, **{name: value + sign * step / 2}), height_m, decode)
+            _positions(seen_by, replace(values, **{name: value + sign * step / 2}), height_m, plane_share)
             for sign in (-1.0, 1.0)
         )
         return (high - low).square()
 
     steps = scale[:, :1] * torch.eye(2, dtype=scale.dtype)[:, None]
     variance = spread("centre3d", steps[0]) + spread("centre3d", steps[1])
-    if decode == "depth":
+    if decode != "plane":
         variance = variance + spread("depth", scale[:, 1])
-        z_sd = variance[:, 2:].sqrt()
-    else:
-        z_sd = size_sd[:, 2:] / 2
+    z_sd = variance[:, 2:].sqrt() if decode == "depth" else size_sd[:, 2:] / 2
     return torch.cat([variance[:, :2].sqrt(), z_sd, size_sd, scale[:, 3:4].clamp(max=torch.pi)], dim=-1)
 
 

@@ -29,6 +29,7 @@ class DeformableConv2d(nn.Module):
     def forward(self, x: Tensor) -> Tensor:
         """(B, in, H, W) to (B, out, H, W)."""
         steering = self.conv_offset_mask(x)
+        steering = steering.to(torch.promote_types(steering.dtype, torch.float32))  # bfloat16 places only to 1 px
         return deformable_conv2d(x, steering[:, :18], torch.sigmoid(steering[:, 18:]), self.weight, self.bias)
 
 

@@ -14,9 +14,13 @@ from torch import Tensor
 from wibam_core.geometry.camera import Camera
 from wibam_core.geometry.torch_ops import CameraTensors
 from wibam_core.models.decode import Decode, boxes2d_px, boxes3d, find_peaks, gather, standard_deviations
-from wibam_core.models.small import INPUT_WIDTH_PX, SmallNetwork
+from wibam_core.models.onnx_network import OnnxNetwork
+from wibam_core.models.small import INPUT_WIDTH_PX, SmallNetwork, SmallOutputs
 from wibam_core.models.trunk import INPUT_MULTIPLE
 from wibam_core.scene import Vehicles3D
+
+#: The small network in torch, on any device, or in ONNX Runtime.
+RunnableNetwork = SmallNetwork | OnnxNetwork
 
 #: Of two peaks whose 2D boxes overlap more than this, the weaker is a duplicate.
 _DUPLICATE_IOU = 0.7
@@ -63,19 +67,29 @@ def prepare_camera(camera: Camera) -> Camera:
     return camera.resized(INPUT_WIDTH_PX, content_height_px(camera.width_px, camera.height_px))
 
 
-def to_input(images: NDArray[np.uint8]) -> Tensor:
-    """Prepared images (B, H, W, 3) uint8 to the network's input (B, 3, H, W) float32 in 0..1."""
-    batch = torch.from_numpy(np.ascontiguousarray(images)).permute(0, 3, 1, 2)
-    return batch.to(torch.float32).div_(255.0).contiguous(memory_format=torch.channels_last)
+def to_input(
+    images: NDArray[np.uint8],
+    device: torch.device | str = "cpu",
+    layout: torch.memory_format = torch.channels_last,
+) -> Tensor:
+    """Prepared images (B, H, W, 3) uint8 to the network's input (B, 3, H, W) float32 in 0..1.
+
+    Args:
+        images: of one size.
+        device: where the input is to lie.
+        layout: the order in memory; torch's networks are fastest with the channels last.
+    """
+    batch = torch.from_numpy(np.ascontiguousarray(images)).to(device).permute(0, 3, 1, 2)
+    return batch.to(torch.float32, memory_format=layout).div_(255.0)
 
 
 def predict(
-    network: SmallNetwork, frames: Iterable[Frame], *, decode: Decode, min_score: float, batch_size: int = 8
+    network: RunnableNetwork, frames: Iterable[Frame], *, decode: Decode, min_score: float, batch_size: int = 8
 ) -> Iterator[Vehicles3D]:
     """Detect vehicles: one `Vehicles3D` in the world per frame, in the frames' order.
 
     Args:
-        network: put into evaluation mode while it runs.
+        network: torch's is put into evaluation mode, and runs on its own device.
         frames: consumed as needed, at most ``batch_size`` in memory.
         decode: how boxes are placed along the ray, see `wibam_core.models.decode.boxes3d`.
         min_score: peaks below it are left out.
@@ -94,16 +108,24 @@ def predict(
         yield from _predict_batch(network, batch, images, decode, min_score)
 
 
+def _run(network: RunnableNetwork, images: NDArray[np.uint8]) -> SmallOutputs:
+    """The maps of prepared images (B, H, W, 3), on the CPU."""
+    if isinstance(network, OnnxNetwork):
+        return network(to_input(images, layout=torch.contiguous_format))
+    network.eval()
+    outputs: SmallOutputs = network(to_input(images, network.mean_sizes_m.device))
+    return SmallOutputs(**{name: values.cpu() for name, values in vars(outputs).items()})
+
+
 def _predict_batch(
-    network: SmallNetwork, frames: list[Frame], images: list[NDArray[np.uint8]], decode: Decode, min_score: float
+    network: RunnableNetwork, frames: list[Frame], images: list[NDArray[np.uint8]], decode: Decode, min_score: float
 ) -> Iterator[Vehicles3D]:
     cameras = CameraTensors.from_cameras([prepare_camera(frame.camera) for frame in frames], torch.float64)
-    network.eval()
     with torch.inference_mode():
-        outputs = network(to_input(np.stack(images)))
+        outputs = _run(network, np.stack(images))
         peaks = find_peaks(outputs.heat, min_score)
         values = gather(outputs, peaks.image, peaks.cells, peaks.classes)
-        predicted = boxes3d(values, cameras, network.mean_sizes_m, decode)
+        predicted = boxes3d(values, cameras, network.mean_sizes_m.cpu(), decode)
         sd = standard_deviations(values, predicted, cameras, decode).numpy()
         boxes2d = boxes2d_px(values).numpy()
     boxes, image, scores = predicted.numpy(), peaks.image.numpy(), peaks.scores.double().numpy()
@@ -123,12 +145,13 @@ def _predict_batch(
 
 def distinct(boxes: NDArray[np.float64]) -> NDArray[np.int64]:
     """Indices of xyxy boxes (N, 4), best first, that overlap no better one by more than `_DUPLICATE_IOU`."""
-    kept: list[int] = []
     areas = np.prod(boxes[:, 2:] - boxes[:, :2], axis=1)
-    for index, box in enumerate(boxes):
-        others = boxes[kept]
-        sides = np.clip(np.minimum(box[2:], others[:, 2:]) - np.maximum(box[:2], others[:, :2]), 0, None)
-        overlap = sides.prod(axis=1)
-        if not (overlap > _DUPLICATE_IOU * (areas[index] + areas[kept] - overlap)).any():
-            kept.append(index)
-    return np.array(kept, dtype=np.int64)
+    low = np.maximum(boxes[:, None, :2], boxes[:, :2])
+    high = np.minimum(boxes[:, None, 2:], boxes[:, 2:])
+    overlap = np.clip(high - low, 0, None).prod(axis=2)
+    duplicate = overlap > _DUPLICATE_IOU * (areas[:, None] + areas - overlap)
+    kept = np.ones(len(boxes), dtype=bool)
+    for index in range(len(boxes)):
+        if kept[index]:
+            kept[index + 1 :] &= ~duplicate[index, index + 1 :]
+    return np.flatnonzero(kept)

@@ -17,7 +17,7 @@ from wibam_core.models.trunk import STRIDE, Trunk, TrunkShape, conv_block
 from wibam_core.scene import CLASSES
 
 #: Width of the images that the network sees, px.
-INPUT_WIDTH_PX = 512
+INPUT_WIDTH_PX = 640
 
 #: Depth is learned as if every camera had this focal length at `INPUT_WIDTH_PX`.
 REFERENCE_FOCAL_PX = 400.0
@@ -82,8 +82,9 @@ class SmallNetwork(nn.Module):
         self.register_buffer("mean_sizes_m", torch.tensor(MEAN_SIZES_M))
 
     def forward(self, images: Tensor) -> SmallOutputs:
-        features = self.shared(self.trunk(images))
-        return SmallOutputs(**{name: head(features).float() for name, head in self.heads.items()})
+        features = self.shared(self.trunk(images)).float()
+        with torch.autocast(images.device.type, enabled=False):  # bfloat16 knows offsets and depths to 1 % only
+            return SmallOutputs(**{name: head(features) for name, head in self.heads.items()})
 
 
 def _head(biases: tuple[float, ...]) -> nn.Conv2d:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from importlib import resources
 from pathlib import Path
+from types import MappingProxyType
 from typing import TypeVar
 
 import safetensors
@@ -28,6 +29,9 @@ _NOT_SAFETENSORS_HINT = (
     ".ckpt."
 )
 
+#: A network that finds 3D vehicles in one image.
+Monocular = SmallNetwork | DLA34
+
 _Network = TypeVar("_Network", bound=nn.Module)
 
 
@@ -41,12 +45,24 @@ def centertrack_metadata() -> dict[str, str]:
     return {"family": _CENTERTRACK_FAMILY, "version": _CENTERTRACK_VERSION, "classes": ",".join(NUSCENES_CLASSES)}
 
 
-def save_network(network: SmallNetwork, path: Path) -> None:
-    """Write ``network`` to a safetensors file, whole or not at all."""
+def save_network(network: Monocular, path: Path, origin: Mapping[str, str] = MappingProxyType({})) -> None:
+    """Write ``network`` to a safetensors file, whole or not at all.
+
+    Args:
+        network: of either family, on any device.
+        path: of the file.
+        origin: what else the file is to say about itself, see `origin_of`.
+    """
     temporary = path.with_name(path.name + ".tmp")
     state = {name: value.detach().cpu().contiguous() for name, value in network.state_dict().items()}
-    save_file(state, str(temporary), metadata=metadata())
+    said = centertrack_metadata() if isinstance(network, DLA34) else metadata()
+    save_file(state, str(temporary), metadata={**origin, **said})
     temporary.replace(path)
+
+
+def origin_of(path: Path) -> dict[str, str]:
+    """What a weights file says about where it comes from and its licence, to be said of what is made of it, too."""
+    return {key: value for key, value in _read_metadata(path).items() if key not in metadata()}
 
 
 def load_network(path: Path) -> SmallNetwork:
@@ -59,7 +75,17 @@ def load_network(path: Path) -> SmallNetwork:
     return _loaded(SmallNetwork(), path)
 
 
-def load_monocular(path: Path) -> SmallNetwork | DLA34:
+def load_centertrack(path: Path) -> DLA34:
+    """Converted CenterTrack weights, or what was fine-tuned from them, in evaluation mode.
+
+    Raises:
+        InvalidWeights: naming the first thing that does not fit.
+    """
+    _check_metadata(path, centertrack_metadata())
+    return _loaded(DLA34(), path)
+
+
+def load_monocular(path: Path) -> Monocular:
     """A network in evaluation mode, of the family that the file names.
 
     Raises:
@@ -67,8 +93,7 @@ def load_monocular(path: Path) -> SmallNetwork | DLA34:
     """
     if _read_metadata(path).get("family") != _CENTERTRACK_FAMILY:
         return load_network(path)
-    _check_metadata(path, centertrack_metadata())
-    return _loaded(DLA34(), path)
+    return load_centertrack(path)
 
 
 def check_state(source: str, state: Mapping[str, Tensor], expected: Mapping[str, Tensor], hint: str | None) -> None:

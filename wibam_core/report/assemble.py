@@ -58,8 +58,9 @@ _CLUSTER_INSTANTS = 4
 _METHODS = {
     "lifted": "lifted: boxes fitted to all views of each vehicle, then learned",
     "paper": "paper: the published multi-view reprojection loss (eq. 1)",
+    "combined": "combined: boxes fitted to all views, and the published multi-view reprojection loss",
 }
-_DECODES = {"plane": "on the ground plane along the ray", "depth": "by the network's depth"}
+_DECODES = {"plane": "on the ground plane along the ray", "depth": "by the network's depth", "fused": "by both"}
 _KEPT = {"last": "those of the last step", "best": "those of the best validation loss"}
 _NOT_SYNCHRONISED = "The recordings were taken to share one clock, as asked for; nothing was measured."
 
@@ -232,7 +233,9 @@ def _training(finetune: Path, lift: Path) -> Training:
     if lifts.residual is not None:
         facts.append(("median residual of the fits", f"{lifts.residual.p50:.3f} (mean 1 − GIoU over the views)"))
     parts = tuple(_curve(name.replace("_", " "), steps, [e.train for e in curves.epochs], name) for name in names)
-    return Training(tuple(curve for curve in totals if curve.steps), parts, curves.kept_step, tuple(facts))
+    return Training(
+        tuple(curve for curve in totals if curve.steps), parts, curves.kept_step, tuple(facts), tuple(curves.warnings)
+    )
 
 
 def _curve(title: str, steps: Sequence[int], losses: Sequence[Mapping[str, float]], name: str) -> Curve:

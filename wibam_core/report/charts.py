@@ -10,7 +10,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
 
-from wibam_core.report.inputs import Bin, DetectorFigures, MeanSd
+from wibam_core.report.inputs import DetectorFigures, MeanSd, Part, Reliability
 from wibam_core.report.style import BASELINE, FINETUNED, GRID, INK, MUTED, camera_colour, new_figure, plain, tidy
 
 
@@ -172,28 +172,26 @@ def _two_digits(value: float | None) -> str:
     return "–" if value is None else f"{value:.2f}" if value < 10 else f"{value:.1f}"
 
 
-def bins_figure(bins: Mapping[str, Sequence[Bin]], x: str, *, percent: bool = False) -> Figure:
-    """BEV IoU, ATE and recall by bins of a quantity, baseline beside fine-tuned.
+def parts_figure(parts: Mapping[str, Mapping[str, Part]], x: str) -> Figure:
+    """BEV IoU, ATE and recall by parts of the labelled vehicles, baseline beside fine-tuned.
 
     Args:
-        bins: "baseline" and "finetuned" -> bins.
-        x: what the bins divide.
-        percent: whether the bins are shares.
+        parts: "baseline" and "finetuned" -> name of a part -> its figures.
+        x: what the names are of.
     """
     figure = new_figure(8.6, 2.9)
     panels = figure.subplots(1, 3)
-    edges = sorted({(b.low, b.high if b.high is not None else np.inf) for part in bins.values() for b in part})
-    place = {edge: i for i, edge in enumerate(edges)}
-    for shift, (name, colour) in enumerate((("baseline", BASELINE), ("finetuned", FINETUNED))):
-        part = bins.get(name, ())
-        at = np.array([place[b.low, b.high if b.high is not None else np.inf] for b in part]) + 0.38 * (shift - 0.5)
-        label = "fine-tuned" if name == "finetuned" else name
-        panels[0].bar(at, [b.bev_iou.mean or 0.0 for b in part], 0.36, color=colour, label=label)
-        panels[1].bar(at, [b.ate_m.mean or 0.0 for b in part], 0.36, color=colour)
-        panels[2].bar(at, [b.recall or 0.0 for b in part], 0.36, color=colour)
+    names = list(dict.fromkeys(name for of in parts.values() for name in of))
+    for shift, (network, colour) in enumerate((("baseline", BASELINE), ("finetuned", FINETUNED))):
+        of = parts.get(network, {})
+        at = np.array([names.index(name) for name in of]) + 0.38 * (shift - 0.5)
+        label = "fine-tuned" if network == "finetuned" else network
+        panels[0].bar(at, [part.bev_iou.mean or 0.0 for part in of.values()], 0.36, color=colour, label=label)
+        panels[1].bar(at, [part.ate_m.mean or 0.0 for part in of.values()], 0.36, color=colour)
+        panels[2].bar(at, [part.recall or 0.0 for part in of.values()], 0.36, color=colour)
     for axes, title in zip(panels, ("BEV IoU (matched)", "ATE (m, matched)", "recall"), strict=True):
         tidy(axes, title=title, x=x)
-        axes.set_xticks(range(len(edges)), [_interval(low, high, percent) for low, high in edges])
+        axes.set_xticks(range(len(names)), names)
         axes.tick_params(axis="x", labelsize=7.5)
     for axes in (panels[0], panels[2]):
         axes.set_ylim(0, 1)
@@ -202,6 +200,48 @@ def bins_figure(bins: Mapping[str, Sequence[Bin]], x: str, *, percent: bool = Fa
     return figure
 
 
-def _interval(low: float, high: float, percent: bool) -> str:
-    scale = 100 if percent else 1
-    return f"> {low * scale:g}" if np.isinf(high) else f"{low * scale:g}–{high * scale:g}"
+def interval_name(low: float | None, high: float | None, *, percent: bool = False) -> str:
+    """E.g. "10–20", "> 50" or "< 10"."""
+    first, second = (None if end is None else f"{end * (100 if percent else 1):g}" for end in (low, high))
+    return f"< {second}" if first is None else f"> {first}" if second is None else f"{first}–{second}"
+
+
+#: Networks of the reliability chart: name in the metrics -> title, colour, dashes.
+_STATED = {
+    "baseline": ("baseline", BASELINE, "-"),
+    "finetuned_as_learned": ("fine-tuned, as learned", FINETUNED, ":"),
+    "finetuned": ("fine-tuned, calibrated", FINETUNED, "-"),
+}
+#: Kinds of numbers that it shows -> title, unit.
+_KINDS = {"position": ("position", "m"), "size": ("size", "m"), "yaw": ("heading", "rad")}
+
+
+def reliability_figure(reliability: Mapping[str, Mapping[str, Reliability]]) -> Figure:
+    """How many errors lie in the intervals that should hold a share of them, and errors by stated standard deviation.
+
+    Args:
+        reliability: network -> kind of number -> figures.
+    """
+    figure = new_figure(8.6, 5.4)
+    panels = figure.subplots(2, len(_KINDS))
+    for column, (kind, (title, unit)) in enumerate(_KINDS.items()):
+        above, below = panels[:, column]
+        above.plot((0, 100), (0, 100), color=MUTED, linewidth=0.9)
+        largest = 0.0
+        for network, (name, colour, dashes) in _STATED.items():
+            figures = reliability.get(network, {}).get(kind)
+            if figures is None or figures.coverage is None:
+                continue
+            level, held = 100 * np.array(figures.coverage.level), 100 * np.array(figures.coverage.laplace)
+            above.plot(level, held, dashes, color=colour, marker="o", markersize=3, label=name)
+            stated, made = [one.sd for one in figures.bins], [one.rms for one in figures.bins]
+            below.plot(stated, made, dashes, color=colour, marker="o", markersize=3)
+            largest = max(largest, *stated, *made)
+        below.plot((0, largest), (0, largest), color=MUTED, linewidth=0.9)
+        tidy(above, title=title, x="share that should lie within (%)", y="share that does (%)" if not column else "")
+        tidy(below, x=f"stated s.d. ({unit})", y="error, r.m.s." if not column else "")
+        above.set(xlim=(0, 100), ylim=(0, 100))
+        below.set(xlim=(0, None), ylim=(0, None))
+    handles, labels = panels[0, 0].get_legend_handles_labels()
+    figure.legend(handles, labels, loc="outside lower center", ncols=3, fontsize=8.5, frameon=False)
+    return figure

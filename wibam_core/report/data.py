@@ -113,12 +113,13 @@ class Dataset:
 
 @dataclass(frozen=True)
 class Training:
-    """How the network was taught: losses in all and by part, which step's weights were kept, and (what, value)."""
+    """How the network was taught: losses in all and by part, whose weights were kept, (what, value), warnings."""
 
     totals: tuple[Curve, ...]
     parts: tuple[Curve, ...]
     kept_step: int
     facts: tuple[tuple[str, str], ...]
+    warnings: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True, eq=False)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from pydantic import BaseModel, ConfigDict
+from pydantic import BaseModel, ConfigDict, Field
 
 
 class _File(BaseModel):
@@ -48,17 +48,62 @@ class Significance(_File):
     p_bootstrap: float | None
 
 
-class Bin(_File):
-    """Figures of the vehicles between ``low`` and ``high`` (None: without end)."""
+class Part(_File):
+    """Figures of a part of the labelled vehicles."""
 
-    low: float
-    high: float | None
     matched: int
     missed: int
     recall: float | None
     bev_iou: MeanSd
     ate_m: MeanSd
     aoe_deg: MeanSd
+
+
+class Bin(Part):
+    """Figures of the vehicles between ``low`` and ``high`` (None: without end)."""
+
+    low: float | None
+    high: float | None
+
+
+class OfClass(Part):
+    """Figures of the vehicles of a class."""
+
+    vehicle_class: str = Field(alias="class")
+
+
+class Coverage(_File):
+    """Shares of errors in the intervals that should hold the shares ``level``, for Laplace and normal distributions."""
+
+    level: list[float]
+    laplace: list[float]
+    normal: list[float]
+
+
+class CalibrationError(_File):
+    """Mean difference between the shares that intervals hold and should hold, by either distribution."""
+
+    laplace: float
+    normal: float
+
+
+class SdBin(_File):
+    """Errors of the boxes that state about the same standard deviation ``sd``."""
+
+    sd: float
+    rms: float
+    median: float
+    count: int
+
+
+class Reliability(_File):
+    """Stated standard deviations of one kind of number against the errors made; nothing where none is stated."""
+
+    count: int
+    scale_factor: float | None = None
+    coverage: Coverage | None = None
+    calibration_error: CalibrationError | None = None
+    bins: list[SdBin] = []
 
 
 class Consistency(_File):
@@ -68,6 +113,7 @@ class Consistency(_File):
     own_view: MeanSd
     pairs: int
     found: float | None
+    roughness_m: MeanSd = MeanSd()
 
 
 class LabelledInstants(_File):
@@ -94,6 +140,10 @@ class Metrics(_File):
     significance: dict[str, Significance] | None = None
     by_visibility: dict[str, list[Bin]] | None = None
     by_distance: dict[str, list[Bin]] | None = None
+    by_elevation: dict[str, list[Bin]] | None = None
+    by_class: dict[str, list[OfClass]] | None = None
+    reliability: dict[str, dict[str, Reliability]] | None = None
+    sd_factors: dict[str, float] | None = None
     self_consistency: dict[str, Consistency]
 
 
@@ -245,6 +295,7 @@ class Curves(_File):
     kept: str
     kept_step: int
     epochs: list[Epoch]
+    warnings: list[str] = []
 
 
 class Manifest(_File):

@@ -46,6 +46,7 @@ class Page:
     results: tuple[ResultRow, ...]
     z_tests: str
     consistency: tuple[tuple[str, ...], ...]
+    uncertainties: tuple[tuple[str, ...], ...]
     examples: tuple[ExamplePage, ...]
     tracks_text: str
     conflicts_text: str
@@ -72,7 +73,7 @@ def build_page(data: ReportData, pictures: Pictures) -> Page:
         site_name=data.site_name,
         done=_done(data),
         tiles=_tiles(data),
-        advice=tuple(advice(metrics)),
+        advice=tuple(advice(metrics, data.training.warnings)),
         contents=_contents(pictures),
         pictures=pictures,
         has_labels=metrics.finetuned is not None,
@@ -80,6 +81,7 @@ def build_page(data: ReportData, pictures: Pictures) -> Page:
         results=result_rows(metrics),
         z_tests=z_tests(metrics),
         consistency=_consistency(metrics),
+        uncertainties=_uncertainties(metrics),
         examples=tuple(
             ExamplePage(f"t = {example.time_s:.1f} s, predicted in {example.camera_id}", drawn)
             for example, drawn in zip(data.examples, pictures.examples, strict=True)
@@ -107,10 +109,33 @@ def build_page(data: ReportData, pictures: Pictures) -> Page:
 
 def _consistency(metrics: Metrics) -> tuple[tuple[str, ...], ...]:
     return tuple(
-        (title, mean_sd(value.other_views), mean_sd(value.own_view), str(value.pairs), number(value.found, 2))
+        (
+            title,
+            mean_sd(value.other_views),
+            mean_sd(value.own_view),
+            mean_sd(value.roughness_m),
+            str(value.pairs),
+            number(value.found, 2),
+        )
         for name, title in NETWORKS.items()
         if (value := metrics.self_consistency.get(name)) is not None
     )
+
+
+def _uncertainties(metrics: Metrics) -> tuple[tuple[str, ...], ...]:
+    """Per kind of number: the factor that was applied, and how right standard deviations are without and with it."""
+    learned, calibrated = ((metrics.reliability or {}).get(name, {}) for name in ("finetuned_as_learned", "finetuned"))
+    rows = []
+    for kind, title in (("position", "position"), ("size", "size"), ("yaw", "heading")):
+        before, after = learned.get(kind), calibrated.get(kind)
+        if before is None or after is None or not after.count:
+            continue
+        errors = (
+            "" if one.calibration_error is None else percent(one.calibration_error.laplace) for one in (before, after)
+        )
+        factor = (metrics.sd_factors or {}).get(kind)
+        rows.append((title, str(after.count), number(before.scale_factor, 2), number(factor, 2), *errors))
+    return tuple(rows)
 
 
 def _done(data: ReportData) -> str:
@@ -143,13 +168,14 @@ def _tiles(data: ReportData) -> tuple[Tile, ...]:
 
 
 def _contents(pictures: Pictures) -> tuple[tuple[str, str], ...]:
-    binned = pictures.by_distance is not None or pictures.by_visibility is not None
+    parts = (pictures.by_distance, pictures.by_visibility, pictures.by_elevation, pictures.by_class)
     return (
         ("results", "Before and after"),
         ("pictures", "Pictures"),
         ("tracks", "Tracks"),
         ("conflicts", "Conflicts"),
-        *((("where", "Where it is good"),) if binned else ()),
+        *((("where", "Where it is good"),) if any(parts) else ()),
+        *((("uncertainties", "Uncertainties"),) if pictures.reliability else ()),
         ("synchronisation", "Synchronisation"),
         ("calibration", "Calibration"),
         ("dataset", "Annotation set"),

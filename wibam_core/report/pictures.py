@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -12,6 +12,7 @@ from wibam_core.report import bev, charts
 from wibam_core.report.bev import BoxesInstant, ConflictMark, Ground
 from wibam_core.report.data import Array, Example, Image, ReportData
 from wibam_core.report.encode import EXAMPLE_WIDTH_PX, jpeg_uri, svg_uri, webp_uri
+from wibam_core.report.inputs import Bin, OfClass, Part, Reliability
 from wibam_core.report.mosaic import Extent, ground_mosaic
 from wibam_core.report.overlay import draw_boxes
 from wibam_core.report.style import BASELINE, FINETUNED, bgr
@@ -41,6 +42,9 @@ class Pictures:
     before_after: Picture | None
     by_distance: Picture | None
     by_visibility: Picture | None
+    by_elevation: Picture | None
+    by_class: Picture | None
+    reliability: Picture | None
     tracks: Picture | None
     conflicts: Picture | None
     boxes: Picture | None
@@ -69,8 +73,11 @@ def draw_pictures(data: ReportData) -> Pictures:
     marks = conflict_marks(data)
     return Pictures(
         before_after=_before_after(data),
-        by_distance=_bins(data, "distance"),
-        by_visibility=_bins(data, "visibility"),
+        by_distance=_bins(data.metrics.by_distance, "distance", "distance (m)"),
+        by_visibility=_bins(data.metrics.by_visibility, "visibility", "visible share (%)", percent=True),
+        by_elevation=_bins(data.metrics.by_elevation, "elevation", "elevation angle (°)"),
+        by_class=_classes(data.metrics.by_class),
+        reliability=_reliability(data.metrics.reliability),
         tracks=_raster(
             bev.tracks_figure(data.rig, ground, data.tracks, marks),
             f"Plan view of {len(data.tracks)} tracks, {len(data.rig)} cameras and {len(marks)} conflicts.",
@@ -141,14 +148,33 @@ def _before_after(data: ReportData) -> Picture | None:
     )
 
 
-def _bins(data: ReportData, by: str) -> Picture | None:
-    bins = data.metrics.by_distance if by == "distance" else data.metrics.by_visibility
-    if not bins or not any(bins.values()):
+def _bins(bins: Mapping[str, Sequence[Bin]] | None, by: str, axis: str, *, percent: bool = False) -> Picture | None:
+    parts = {
+        network: {charts.interval_name(one.low, one.high, percent=percent): one for one in of}
+        for network, of in (bins or {}).items()
+    }
+    return _parts(parts, by, axis)
+
+
+def _classes(classes: Mapping[str, Sequence[OfClass]] | None) -> Picture | None:
+    parts = {network: {one.vehicle_class: one for one in of} for network, of in (classes or {}).items()}
+    return _parts(parts, "class", "class")
+
+
+def _parts(parts: Mapping[str, Mapping[str, Part]], by: str, axis: str) -> Picture | None:
+    if not any(parts.values()):
         return None
-    axis = "distance (m)" if by == "distance" else "visible share (%)"
+    return _vector(charts.parts_figure(parts, axis), f"BEV IoU, ATE and recall by {by}, baseline beside fine-tuned.")
+
+
+def _reliability(reliability: Mapping[str, Mapping[str, Reliability]] | None) -> Picture | None:
+    stated = [kind for of in (reliability or {}).values() for kind in of.values() if kind.count]
+    if not reliability or not stated:
+        return None
     return _vector(
-        charts.bins_figure(bins, axis, percent=by == "visibility"),
-        f"BEV IoU, ATE and recall by {by}, baseline beside fine-tuned.",
+        charts.reliability_figure(reliability),
+        "Shares of the errors of position, size and heading in the intervals that should hold them, and root mean "
+        "square errors by stated standard deviation.",
     )
 
 

@@ -21,7 +21,7 @@ class StageContext:
     Attributes:
         site: what the user said.
         recordings: camera id -> uploaded file.
-        assets: other uploaded files: "labels", "detector".
+        assets: other uploaded files: "labels", "detector", "network".
         upstream: name of each required stage -> its published output folder (read only).
         output: an empty folder; published as a whole once the stage returns.
         scratch: survives a killed attempt of this very stage (same hash): checkpoints to resume from.

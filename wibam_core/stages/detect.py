@@ -12,8 +12,10 @@ from wibam_core.detection.detector import BUNDLED, Detector, load_detector
 from wibam_core.errors import InputError, NoVehicles
 from wibam_core.formats.annotations import write_annotations
 from wibam_core.formats.framestore import FrameStore
+from wibam_core.progress import Progress, part
 from wibam_core.scene import CLASSES, AnnotatedInstant, Detections2D, FrameSet
 from wibam_core.stages.base import StageContext, Summary
+from wibam_core.stages.edges import refine_all
 
 #: Instants that are in work at one time.
 _CHUNK = 16
@@ -29,7 +31,10 @@ def run(context: StageContext, config: DetectConfig) -> Summary:
     """
     detector = _detector(context, config)
     store = FrameStore(context.upstream["frames"])
-    instants = list(_detect_all(store, detector, context))
+    refined = config.refine == "on" or (config.refine == "auto" and config.detector == "bundled")
+    instants = list(_detect_all(store, detector, part(context.progress, 0.0, 0.5 if refined else 1.0)))
+    if refined:
+        instants = list(refine_all(store, instants, part(context.progress, 0.5, 1.0)))
     boxes: Counter[str] = Counter()
     classes: Counter[str] = Counter()
     for instant in instants:
@@ -60,7 +65,7 @@ def _detector(context: StageContext, config: DetectConfig) -> Detector:
     return load_detector(path, min_score=config.min_score, nms_iou=config.nms_iou)
 
 
-def _detect_all(store: FrameStore, detector: Detector, context: StageContext) -> Iterator[AnnotatedInstant]:
+def _detect_all(store: FrameStore, detector: Detector, progress: Progress) -> Iterator[AnnotatedInstant]:
     """All instants in order; several images side by side, each on one thread."""
 
     def detect(frame_set: FrameSet) -> AnnotatedInstant:
@@ -77,7 +82,7 @@ def _detect_all(store: FrameStore, detector: Detector, context: StageContext) ->
         for start in range(0, total, _CHUNK):
             yield from pool.map(detect, store.frame_sets[start : start + _CHUNK])
             done = min(start + _CHUNK, total)
-            context.progress(done / total, f"{done} of {total} instants")
+            progress(done / total, f"{done} of {total} instants")
 
 
 def _detect(store: FrameStore, detector: Detector, camera_id: str, time_ns: int, frame_time_ns: int) -> Detections2D:

@@ -4,31 +4,46 @@ from __future__ import annotations
 
 import json
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
+
+import torch
 
 from wibam_core.config import EvaluateConfig
 from wibam_core.errors import TooFewInstants
 from wibam_core.evaluation.evaluate import Evaluation, evaluate
 from wibam_core.evaluation.instants import evaluated_instants
 from wibam_core.evaluation.labels_at import LabelTimeline
+from wibam_core.evaluation.reliability import reliability
 from wibam_core.evaluation.self_consistency import self_consistency
 from wibam_core.evaluation.significance import significance
-from wibam_core.evaluation.summary import by_distance, by_visibility, summarise
+from wibam_core.evaluation.summary import by_class, by_distance, by_elevation, by_visibility, summarise
+from wibam_core.evaluation.uncertainty import SdFactors
 from wibam_core.formats.annotations import read_annotations
 from wibam_core.formats.framestore import FrameStore
 from wibam_core.formats.labels import read_labels
 from wibam_core.formats.rig import read_rig
 from wibam_core.formats.vehicles3d import write_vehicles3d
-from wibam_core.models.decode import Decode
+from wibam_core.models.centertrack import predict_vehicles
+from wibam_core.models.decode import Decode, read_decode
+from wibam_core.models.dla34 import DLA34
 from wibam_core.models.inference import predict
+from wibam_core.models.onnx_network import OnnxNetwork
 from wibam_core.models.stored_frames import stored_frames
-from wibam_core.models.weights import bundled, load_network
+from wibam_core.models.weights import bundled, load_monocular
 from wibam_core.progress import Progress, part
 from wibam_core.scene import CameraRig, FrameSet, Vehicles3D
 from wibam_core.stages.base import StageContext, Summary
+from wibam_core.training.device import choose_device
 
+#: Figures of parts of the labelled vehicles, by their names in the metrics.
+_BREAKDOWNS = {
+    "by_visibility": by_visibility,
+    "by_distance": by_distance,
+    "by_elevation": by_elevation,
+    "by_class": by_class,
+}
 #: Detections down to this score are kept in the files, or to a lower one that is asked for; the evaluators apply their
 #: own thresholds.
 _KEPT_SCORE = 0.1
@@ -36,11 +51,12 @@ _KEPT_SCORE = 0.1
 
 @dataclass(frozen=True)
 class _Method:
-    """A detector under test: weights and how its boxes are placed."""
+    """A detector under test: weights, how its boxes are placed, what its standard deviations are multiplied with."""
 
     name: str
     weights: Path
     decode: Decode
+    factors: SdFactors
 
 
 def run(context: StageContext, config: EvaluateConfig) -> Summary:
@@ -58,16 +74,21 @@ def run(context: StageContext, config: EvaluateConfig) -> Summary:
     labels = LabelTimeline(read_labels(context.assets["labels"])) if "labels" in context.assets else None
     instants = _test_instants(context, store, labels)
     finetune = context.upstream["finetune"]
+    as_learned = SdFactors()
+    curves = json.loads((finetune / "curves.json").read_text(encoding="utf-8"))
+    device = choose_device(curves.get("device", "auto"))
+    custom = curves.get("network") == "custom"
+    start = context.assets["network"] if custom else bundled("mono_small.safetensors")
     methods = (
-        _Method("baseline", bundled("mono_small.safetensors"), "plane"),
-        _Method("baseline_depth", bundled("mono_small.safetensors"), "depth"),
-        _Method("finetuned", finetune / "weights.safetensors", trained_decode(finetune)),
+        _Method("baseline", start, "plane", as_learned),
+        _Method("baseline_depth", start, "depth", as_learned),
+        _Method("finetuned", finetune / "weights.safetensors", trained_decode(finetune), trained_factors(finetune)),
     )
     predictions: dict[str, list[Vehicles3D]] = {}
     for number, method in enumerate(methods):
         progress = part(context.progress, number / len(methods), (number + 1) / len(methods))
         min_score = min(_KEPT_SCORE, config.min_score)
-        predictions[method.name] = _detect(method, store, instants, rig, min_score, progress)
+        predictions[method.name] = _detect(method, store, instants, rig, min_score, device, progress)
     for name in ("baseline", "finetuned"):
         write_vehicles3d(context.output / f"predictions_{name}.parquet", predictions[name])
     metrics = _metrics(context, config, rig, instants, predictions, labels)
@@ -83,7 +104,13 @@ def run(context: StageContext, config: EvaluateConfig) -> Summary:
 def trained_decode(finetune: Path) -> Decode:
     """How the boxes of a finetune stage's network are to be placed: as it was trained."""
     curves = json.loads((finetune / "curves.json").read_text(encoding="utf-8"))
-    return "depth" if curves.get("decode") == "depth" else "plane"
+    return read_decode(curves)
+
+
+def trained_factors(finetune: Path) -> SdFactors:
+    """What the standard deviations of a finetune stage's network are to be multiplied with."""
+    curves = json.loads((finetune / "curves.json").read_text(encoding="utf-8"))
+    return SdFactors(**curves.get("sd_factors", {}))
 
 
 def _test_instants(context: StageContext, store: FrameStore, labels: LabelTimeline | None) -> list[FrameSet]:
@@ -100,13 +127,20 @@ def _detect(
     instants: Sequence[FrameSet],
     rig: CameraRig,
     min_score: float,
+    device: torch.device,
     progress: Progress,
 ) -> list[Vehicles3D]:
-    network = load_network(method.weights)
+    network = load_monocular(method.weights)
+    frames = stored_frames(store, instants, rig)
     total = sum(len(rig.keys() & instant.frame_times_ns.keys()) for instant in instants)
     found = []
-    for vehicles in predict(network, stored_frames(store, instants, rig), decode=method.decode, min_score=min_score):
-        found.append(vehicles)
+    detected = (
+        predict_vehicles(network.to(device), frames, decode=method.decode, min_score=min_score)
+        if isinstance(network, DLA34)
+        else predict(OnnxNetwork.of(network), frames, decode=method.decode, min_score=min_score)
+    )
+    for vehicles in detected:
+        found.append(method.factors.apply(vehicles))
         progress(len(found) / total, f"Detecting: {method.name.replace('_', ', ')}")
     return found
 
@@ -119,6 +153,7 @@ def _metrics(
     predictions: dict[str, list[Vehicles3D]],
     labels: LabelTimeline | None,
 ) -> dict[str, Any]:
+    factors = trained_factors(context.upstream["finetune"])
     times = {instant.time_ns for instant in instants}
     annotations = [
         instant
@@ -129,7 +164,7 @@ def _metrics(
         name: self_consistency(_above(found, config.min_score), annotations, rig) for name, found in predictions.items()
     }
     labelled: dict[str, Any] = dict.fromkeys(
-        (*predictions, "paper_compat", "significance", "by_visibility", "by_distance")
+        (*predictions, "paper_compat", "significance", *_BREAKDOWNS, "reliability")
     )
     evaluations = _evaluations(config, rig, instants, predictions, labels)
     if evaluations is not None:
@@ -138,8 +173,8 @@ def _metrics(
             **{name: summarise(evaluation) for name, evaluation in correct.items()},
             "paper_compat": {name: summarise(evaluation) for name, evaluation in published.items()},
             "significance": significance(correct["baseline"], correct["finetuned"]),
-            "by_visibility": {name: by_visibility(evaluation) for name, evaluation in correct.items()},
-            "by_distance": {name: by_distance(evaluation) for name, evaluation in correct.items()},
+            **{by: {name: parts(one) for name, one in correct.items()} for by, parts in _BREAKDOWNS.items()},
+            "reliability": _reliability(correct, factors),
         }
     return {
         "options": config.model_dump(),
@@ -148,6 +183,7 @@ def _metrics(
         "instants": len(instants),
         "frames": len(next(iter(predictions.values()))),
         **labelled,
+        "sd_factors": asdict(factors),
         "self_consistency": consistency,
     }
 
@@ -169,6 +205,13 @@ def _evaluations(
         correct[name] = evaluate(at_exposure, labels, rig, config)
         published[name] = evaluate(at_exposure, labels, rig, config, "paper_compat")
     return (correct, published) if next(iter(correct.values())).frames else None
+
+
+def _reliability(evaluations: dict[str, Evaluation], factors: SdFactors) -> dict[str, Any]:
+    """By method, and of the fine-tuned network also before its standard deviations were multiplied."""
+    found = {name: reliability(evaluation.errors, evaluation.sd) for name, evaluation in evaluations.items()}
+    finetuned = evaluations["finetuned"]
+    return {**found, "finetuned_as_learned": reliability(finetuned.errors, finetuned.sd / factors.columns())}
 
 
 def _labelled_instants(labels: LabelTimeline | None, instants: Sequence[FrameSet]) -> dict[str, float]:

@@ -7,38 +7,57 @@ from dataclasses import asdict
 
 from wibam_core.config import FinetuneConfig
 from wibam_core.dataset.split import Split
+from wibam_core.dataset.sufficiency import Sufficiency, training_sufficiency
 from wibam_core.formats.annotations import read_annotations
 from wibam_core.formats.framestore import FrameStore
 from wibam_core.formats.rig import read_rig
 from wibam_core.formats.vehicles3d import read_vehicles3d
-from wibam_core.models.weights import bundled, load_network, save_network
+from wibam_core.models.export import export_small
+from wibam_core.models.small import SmallNetwork
+from wibam_core.models.weights import bundled, load_centertrack, load_network, origin_of, save_network
 from wibam_core.stages.base import StageContext, Summary
+from wibam_core.stages.graph import require_network
+from wibam_core.training.calibration import sd_factors
 from wibam_core.training.dataset import SiteView, site_views
+from wibam_core.training.device import choose_device
 from wibam_core.training.finetune import FinetuneResult, SiteDataset, finetune
 
 
 def run(context: StageContext, config: FinetuneConfig) -> Summary:
-    """Write ``weights.safetensors`` and ``curves.json``.
+    """Write ``weights.safetensors``, the small network as ``weights.onnx``, too, and ``curves.json``.
 
-    ``curves.json`` is ``{"method", "decode", "kept", "kept_step", "epochs": [{"step", "learning_rate", "train",
-    "validation"}]}``, where train and validation map the parts of the loss and ``total`` to their means.
+    ``curves.json`` is ``{"method", "decode", "network", "device", "kept", "kept_step", "warnings": [sentence],
+    "epochs": [{"step", "learning_rate", "train", "validation"}], "sd_factors"}``, where train and validation map the
+    parts of the loss and ``total`` to their means, and `SdFactors` says what the network's standard deviations are to
+    be multiplied with.
     """
-    dataset = _dataset(context)
-    network = load_network(bundled("mono_small.safetensors"))
+    choose_device(config.device)  # before anything is read
+    require_network(config, context.assets)
+    custom = config.network == "custom"
+    start = context.assets["network"] if custom else bundled("mono_small.safetensors")
+    network = load_centertrack(start) if custom else load_network(start)
+    dataset, enough = _dataset(context, config)
+    enough.require_any()
     result = finetune(network, dataset, config, context.progress, context.scratch)
-    save_network(result.network, context.output / "weights.safetensors")
+    save_network(result.network, context.output / "weights.safetensors", origin_of(start))
+    if isinstance(result.network, SmallNetwork):
+        export_small(result.network, context.output / "weights.onnx")
     curves = {
         "method": config.method,
         "decode": config.decode,
+        "network": config.network,
+        "device": config.device,
         "kept": result.kept,
         "kept_step": result.kept_step,
+        "warnings": enough.warnings,
         "epochs": [asdict(epoch) for epoch in result.epochs],
+        "sd_factors": asdict(sd_factors(result.network, dataset, config.decode)),
     }
     (context.output / "curves.json").write_text(json.dumps(curves, indent=1), encoding="utf-8")
-    return _summary(dataset, result)
+    return _summary(dataset, result) | {"vehicles": enough.vehicles, "warnings": enough.warnings}
 
 
-def _dataset(context: StageContext) -> SiteDataset:
+def _dataset(context: StageContext, config: FinetuneConfig) -> tuple[SiteDataset, Sufficiency]:
     rig = read_rig(context.upstream["calibrate"] / "rig.json")
     frames = FrameStore(context.upstream["frames"])
     instants = read_annotations(context.upstream["associate"] / "annotations.parquet")
@@ -50,7 +69,8 @@ def _dataset(context: StageContext) -> SiteDataset:
         chosen = [instant for instant in instants if instant.time_ns in times]
         return site_views(chosen, frames, lifts, rig, split.left_out_tracks[name])
 
-    return SiteDataset(frames, rig, subset("train"), subset("val"))
+    enough = training_sufficiency(config.method, instants, lifts, split)
+    return SiteDataset(frames, rig, subset("train"), subset("val")), enough
 
 
 def _summary(dataset: SiteDataset, result: FinetuneResult) -> Summary:

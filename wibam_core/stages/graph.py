@@ -9,15 +9,15 @@ from __future__ import annotations
 
 import hashlib
 import json
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Container, Mapping
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
 from types import MappingProxyType
 from typing import Any
 
-from wibam_core.config import PipelineConfig, StageConfig
-from wibam_core.errors import UnknownOption
+from wibam_core.config import FinetuneConfig, PipelineConfig, StageConfig
+from wibam_core.errors import InputError, UnknownOption
 from wibam_core.site import Site
 
 _CORE = Path(__file__).resolve().parent.parent
@@ -91,7 +91,13 @@ _SPECS = (
     StageSpec("sync", "Synchronise the cameras", ("preflight",), ("sync", "video"), _signals, reads_recordings=True),
     StageSpec("calibrate", "Calibrate the cameras", ("preflight",), ("calibration",), _calibration),
     StageSpec("frames", "Read the frames", ("preflight", "sync"), ("video",), _sizes, reads_recordings=True),
-    StageSpec("detect", "Detect vehicles in 2D", ("frames",), ("detection", "models/bundled"), assets=("detector",)),
+    StageSpec(
+        "detect",
+        "Detect vehicles in 2D",
+        ("frames",),
+        ("detection", "models/bundled/detector2d.onnx", "models/bundled/refiner2d.onnx", "stages/edges.py"),
+        assets=("detector",),
+    ),
     StageSpec("associate", "Associate views and link over time", ("calibrate", "detect"), ("association",)),
     StageSpec("dataset", "Split in time", ("calibrate", "associate"), ("dataset",)),
     StageSpec("lift", "Fit 7DoF boxes to all views", ("calibrate", "associate", "dataset"), ("lifting",)),
@@ -99,16 +105,22 @@ _SPECS = (
         "finetune",
         "Fine-tune the 3D detector",
         ("calibrate", "frames", "associate", "dataset", "lift"),
-        ("models", "training"),
+        ("models", "training", "evaluation/matching.py", "evaluation/metrics.py", "evaluation/uncertainty.py"),
+        assets=("network",),
     ),
     StageSpec(
         "evaluate",
         "Evaluate",
         ("calibrate", "frames", "associate", "dataset", "finetune"),
-        ("models", "evaluation"),
-        assets=("labels",),
+        ("models", "evaluation", "training/device.py"),
+        assets=("labels", "network"),
     ),
-    StageSpec("track", "Track in 7DoF", ("calibrate", "frames", "finetune"), ("models", "tracking")),
+    StageSpec(
+        "track",
+        "Track in 7DoF",
+        ("calibrate", "frames", "finetune"),
+        ("models", "tracking", "evaluation/uncertainty.py", "training/device.py"),
+    ),
     StageSpec("safety", "Find conflicts", ("track",), ("safety",)),
     StageSpec(
         "report",
@@ -159,7 +171,11 @@ def plan(site: Site, config: PipelineConfig, inputs: InputDigests) -> tuple[Plan
 
     Assets that a stage only checks belong to its own address, so that new ones are checked, but not to those of the
     stages after it: new labels train nothing again.
+
+    Raises:
+        InputError: the options ask for a network that was not given.
     """
+    require_network(config.finetune, inputs.assets)
     planned: dict[str, PlannedStage] = {}
     contents: dict[str, str] = {}
     for spec in STAGES.values():
@@ -177,6 +193,19 @@ def plan(site: Site, config: PipelineConfig, inputs: InputDigests) -> tuple[Plan
         contents[spec.name] = _digest_of({**facts, "assets": {}}) if spec.only_checks_assets else digest
         planned[spec.name] = PlannedStage(spec.name, digest, MappingProxyType(upstream))
     return tuple(planned.values())
+
+
+def require_network(config: FinetuneConfig, assets: Container[str]) -> None:
+    """Refuse options that ask for a network of the site's own where there is none.
+
+    Raises:
+        InputError: it is not among the ``assets``.
+    """
+    if config.network == "custom" and "network" not in assets:
+        raise InputError(
+            "option finetune.network is 'custom', but the site has no network",
+            hint="Give the site a network.safetensors, as `wibam weights convert` writes it, or leave the option out.",
+        )
 
 
 def _digest_of(facts: Mapping[str, Any]) -> str:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -14,13 +14,14 @@ from wibam_core.progress import Progress
 from wibam_core.site import Site
 from wibam_core.stages.base import StageContext, Summary
 from wibam_core.stages.execute import run_stage
-from wibam_core.stages.graph import STAGES, InputDigests, plan
+from wibam_core.stages.graph import STAGES, InputDigests, PlannedStage, plan
 from wibam_core.stages.store import StageStore, sha256_of
 
 #: Names of the optional files of a site folder.
 ASSET_FILES: Mapping[str, tuple[str, ...]] = {
     "labels": ("labels.parquet", "labels.json"),
     "detector": ("detector.onnx",),
+    "network": ("network.safetensors",),
 }
 
 
@@ -109,12 +110,16 @@ def run_pipeline(
     """Run every stage that the store does not hold yet, in order, up to and with ``until``.
 
     Raises:
+        InputError: the options ask for a file that the folder lacks.
+        InvalidOption: they ask for a device that this machine lacks.
         WibamError: of the stage that failed; finished stages stay in the store.
     """
     folders: dict[str, Path] = {}
     summaries: dict[str, Summary] = {}
     seconds: dict[str, float] = {}
-    for planned in plan(folder.site, config, folder.digests()):
+    stages = plan(folder.site, config, folder.digests())
+    _check_device(stages, store, config, until)
+    for planned in stages:
         name = planned.name
         found = store.find(name, planned.digest)
         if found is None:
@@ -148,3 +153,14 @@ def run_pipeline(
         if name == until:
             break
     return PipelineResult(folders, summaries, seconds)
+
+
+def _check_device(stages: Sequence[PlannedStage], store: StageStore, config: PipelineConfig, until: str | None) -> None:
+    """Ask now, not after an hour of other stages, whether this machine can train where it is told to."""
+    names = [stage.name for stage in stages]
+    last = len(names) - 1 if until is None else names.index(until)
+    training = names.index("finetune")
+    if last >= training and store.find("finetune", stages[training].digest) is None:
+        from wibam_core.training.device import choose_device  # torch takes seconds to import
+
+        choose_device(config.finetune.device)

@@ -8,16 +8,21 @@ from collections.abc import Sequence
 from itertools import groupby
 
 from wibam_core.config import TrackConfig
+from wibam_core.evaluation.uncertainty import SdFactors
 from wibam_core.formats.framestore import FrameStore
 from wibam_core.formats.rig import read_rig
 from wibam_core.formats.tracks import write_tracks
-from wibam_core.models.decode import Decode
+from wibam_core.models.centertrack import predict_vehicles
+from wibam_core.models.decode import read_decode
+from wibam_core.models.dla34 import DLA34
 from wibam_core.models.inference import predict
+from wibam_core.models.onnx_network import OnnxNetwork
 from wibam_core.models.stored_frames import stored_frames
-from wibam_core.models.weights import load_network
+from wibam_core.models.weights import load_monocular
 from wibam_core.scene import FrameSet
 from wibam_core.stages.base import StageContext, Summary
 from wibam_core.tracking.tracker import Tracker
+from wibam_core.training.device import choose_device
 
 
 def run(context: StageContext, config: TrackConfig) -> Summary:
@@ -26,16 +31,22 @@ def run(context: StageContext, config: TrackConfig) -> Summary:
     store = FrameStore(context.upstream["frames"])
     finetune = context.upstream["finetune"]
     curves = json.loads((finetune / "curves.json").read_text(encoding="utf-8"))
-    decode: Decode = "depth" if curves.get("decode") == "depth" else "plane"
+    decode = read_decode(curves)
+    factors = SdFactors(**curves.get("sd_factors", {}))
     instants = thin(store.frame_sets, config.rate_hz)
     frame_times = {instant.time_ns: instant.frame_times_ns for instant in instants}
     total = sum(len(rig.keys() & instant.frame_times_ns.keys()) for instant in instants)
     tracker = Tracker(config)
-    network = load_network(finetune / "weights.safetensors")
-    found = predict(network, stored_frames(store, instants, rig), decode=decode, min_score=config.min_score)
+    network = load_monocular(finetune / "weights.safetensors")
+    frames = stored_frames(store, instants, rig)
+    if isinstance(network, DLA34):
+        network.to(choose_device(curves.get("device", "auto")))
+        found = predict_vehicles(network, frames, decode=decode, min_score=config.min_score)
+    else:
+        found = predict(OnnxNetwork.of(network), frames, decode=decode, min_score=config.min_score)
     done = 0
     for time_ns, detections in groupby(found, key=lambda vehicles: vehicles.time_ns):
-        of_instant = list(detections)
+        of_instant = [factors.apply(vehicles) for vehicles in detections]
         tracker.step(time_ns, of_instant, frame_times[time_ns])
         done += len(of_instant)
         context.progress(done / total, f"Tracking: {done} of {total} images")

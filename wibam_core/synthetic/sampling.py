@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
@@ -43,6 +43,7 @@ class RenderedView:
         visible_boxes: (N, 4) xyxy px around the visible pixels; zeros where none is visible.
         amodal_boxes: (N, 4) xyxy px around the whole silhouette, clipped to the image.
         visibility: (N,) visible share of the whole silhouette, parts beyond the image's border included.
+        still: (H, W, 3) uint8 BGR: what the camera would show without vehicles.
     """
 
     image: Image
@@ -51,6 +52,7 @@ class RenderedView:
     visible_boxes: Array
     amodal_boxes: Array
     visibility: Array
+    still: Image
 
 
 def sample_views(
@@ -78,13 +80,14 @@ def sample_views(
             keep = np.ones(len(boxes), bool)
             if regime == "ego":
                 keep = ~_at_ego(camera, boxes)
-            drawing = Renderer(layout, lighting, camera).draw(
-                [m for m, k in zip(models, keep, strict=True) if k], boxes[keep], _signals(rng)
-            )
+            renderer = Renderer(layout, lighting, camera)
+            signals = _signals(rng)
+            drawing = renderer.draw([m for m, k in zip(models, keep, strict=True) if k], boxes[keep], signals)
+            photometry = sample_photometry(rng)
             seen = drawing.in_view
             chosen = np.flatnonzero(keep)[seen]
             yield RenderedView(
-                image=develop(drawing.image, sample_photometry(rng), rng),
+                image=develop(drawing.image, photometry, rng),
                 camera=camera,
                 vehicles=Vehicles3D.of(
                     0,
@@ -95,6 +98,7 @@ def sample_views(
                 visible_boxes=drawing.visible_boxes[seen],
                 amodal_boxes=drawing.amodal_boxes[seen],
                 visibility=drawing.visibility[seen],
+                still=develop(renderer.background.images(signals)[0], replace(photometry, noise_sd=0.0), rng),
             )
 
 

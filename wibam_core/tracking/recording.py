@@ -12,14 +12,13 @@ from wibam_core.geometry.camera import Camera
 from wibam_core.models.centertrack import predict_vehicles
 from wibam_core.models.decode import Decode
 from wibam_core.models.dla34 import DLA34
-from wibam_core.models.inference import Frame, predict
-from wibam_core.models.small import SmallNetwork
+from wibam_core.models.inference import Frame, RunnableNetwork, predict
 from wibam_core.scene import Track
 from wibam_core.tracking.tracker import Tracker
 
 
 def track_recording(
-    network: SmallNetwork | DLA34,
+    network: RunnableNetwork | DLA34,
     images: Iterable[tuple[int, NDArray[np.uint8]]],
     camera: Camera,
     config: TrackConfig,

@@ -59,7 +59,7 @@ def mirror(view: LabelledView) -> LabelledView:
 
     return replace(
         view,
-        image=np.ascontiguousarray(view.image[:, ::-1]),
+        image=np.asarray(cv2.flip(view.image, 1), dtype=np.uint8),
         camera=mirror_camera(view.camera),
         boxes2d=boxes2d(view.boxes2d),
         boxes3d=mirror_boxes3d(view.boxes3d),

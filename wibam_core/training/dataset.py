@@ -46,6 +46,11 @@ class SiteView:
     other_camera: NDArray[np.int64]
     other_boxes: FloatArray
 
+    def alone(self, labels: LabelledView) -> SiteView:
+        """The view with these labels instead, and without other views: where augmentation renumbered the vehicles."""
+        nothing = np.zeros(0, np.int64)
+        return SiteView(self.camera_id, self.time_ns, labels, nothing, nothing, np.zeros((0, 4)))
+
 
 def site_views(
     instants: Sequence[AnnotatedInstant],
@@ -197,16 +202,26 @@ class ImageCache:
         self._frames = frames
         height = max((view.labels.camera.height_px for view in views), default=INPUT_MULTIPLE)
         height += -height % INPUT_MULTIPLE
-        shape = (len(views), height, INPUT_WIDTH_PX, 3)
-        self._images = np.lib.format.open_memmap(path, mode="w+", dtype=np.uint8, shape=shape) if len(views) else None
+        self._shape = (height, INPUT_WIDTH_PX, 3)
+        self._path = path
+        self._first_byte = 0
+        if len(views):
+            shape = (len(views), *self._shape)
+            self._first_byte = np.lib.format.open_memmap(path, mode="w+", dtype=np.uint8, shape=shape).offset
         self._ready = np.zeros(len(views), bool)
 
     def view(self, number: int) -> LabelledView:
         """The labelled view of this number, with its image (H, W, 3); H is the same for all."""
-        assert self._images is not None
         view = self._views[number]
-        if not self._ready[number]:
-            image = prepare_image(self._frames.image(view.camera_id, view.time_ns))
-            self._images[number, : len(image)] = image
-            self._ready[number] = True
-        return replace(view.labels, image=np.array(self._images[number]))
+        image = np.zeros(self._shape, np.uint8)
+        # read, not mapped: pages of a mapped file count as the process's memory once they were looked at
+        with self._path.open("r+b", buffering=0) as file:
+            file.seek(self._first_byte + number * image.nbytes)
+            if self._ready[number]:
+                file.readinto(image.data)
+            else:
+                prepared = prepare_image(self._frames.image(view.camera_id, view.time_ns))
+                image[: len(prepared)] = prepared
+                file.write(image.data)
+                self._ready[number] = True
+        return replace(view.labels, image=image)

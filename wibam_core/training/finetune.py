@@ -1,7 +1,8 @@
-"""Fine-tune the small network on a site's multi-view boxes. Seeded, and resumable to the bit on one machine."""
+"""Fine-tune a network on a site's multi-view boxes. Seeded, and resumable to the bit on one machine."""
 
 from __future__ import annotations
 
+import copy
 import math
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass, replace
@@ -13,18 +14,20 @@ import torch
 from torch import Tensor, nn
 
 from wibam_core.config import FinetuneConfig
-from wibam_core.errors import NoMultiViewVehicles, NonFiniteLoss, TooFewInstants
+from wibam_core.errors import NoMultiViewVehicles, NonFiniteLoss, StageOutOfMemory, TooFewInstants
 from wibam_core.formats.framestore import FrameStore
-from wibam_core.models.inference import to_input
-from wibam_core.models.small import SmallNetwork, SmallOutputs
-from wibam_core.progress import Progress
+from wibam_core.geometry.camera import Camera
+from wibam_core.models.weights import Monocular
+from wibam_core.progress import Progress, silent
 from wibam_core.scene import CameraRig
 from wibam_core.training.augment import jitter_colour, mirror, shake
 from wibam_core.training.checkpoint import read_checkpoint, write_checkpoint
-from wibam_core.training.dataset import ImageCache, SiteView
-from wibam_core.training.objectives import LiftedObjective, Objective, OtherCameras, PaperObjective
+from wibam_core.training.dataset import SiteView
+from wibam_core.training.device import Precision, choose_device
+from wibam_core.training.distributed import Ranks, helpers, usable_devices
+from wibam_core.training.objectives import OtherCameras
 from wibam_core.training.schedule import CosineSchedule, LearningRateSchedule, PlateauSchedule
-from wibam_core.training.targets import encode
+from wibam_core.training.trainable import TrainableNetwork, trainable_of
 from wibam_core.training.views import LabelledView
 
 _GRADIENT_CLIP = 5.0
@@ -33,14 +36,14 @@ _GRADIENT_CLIP = 5.0
 _SHAKEN_SHARE = 0.3
 _WEIGHT_DECAY = 1e-3
 
-#: Peak learning rates where the options give none.
-_DEFAULT_RATE = {"lifted": 2.5e-3, "paper": 1e-4}
-
 #: Validation looks at this many views at most, evenly spread.
 _MAX_VALIDATION_VIEWS = 96
 
 #: The last weights are kept unless their validation loss is worse than the best by more than this share.
 _TOLERATED_RISE = 0.03
+
+#: Of a batch, where one process runs the network on all of it.
+_WHOLE = slice(None)
 
 
 @dataclass(frozen=True, eq=False)
@@ -70,36 +73,84 @@ class Epoch:
 
 @dataclass(frozen=True, eq=False)
 class FinetuneResult:
-    """The fine-tuned network in evaluation mode, the losses of all epochs, and which epoch's weights were kept."""
+    """The fine-tuned network, on the CPU in evaluation mode, all epochs' losses, and which one's weights were kept."""
 
-    network: SmallNetwork
+    network: Monocular
     epochs: tuple[Epoch, ...]
     kept: Literal["last", "best"]
     kept_step: int
 
 
 def finetune(
-    network: SmallNetwork, dataset: SiteDataset, config: FinetuneConfig, progress: Progress, scratch: Path
+    network: Monocular, dataset: SiteDataset, config: FinetuneConfig, progress: Progress, scratch: Path
 ) -> FinetuneResult:
     """Train ``network`` in place and return it.
 
     Args:
         network: where to start from.
         dataset: labelled frames.
-        config: method, decoding, steps, batch size, learning rate, seed.
+        config: method, decoding, steps, batch size, learning rate, device, seed.
         progress: told after every step.
         scratch: keeps a checkpoint after every epoch; training goes on from there, equal to the bit.
 
     Raises:
+        InvalidOption: the options name a device that is not there.
         TooFewInstants: there is no frame to train on.
         NoMultiViewVehicles: no frame has a vehicle that teaches 3D.
         NonFiniteLoss: naming the step and the frames.
+        StageOutOfMemory: on a GPU.
     """
+    precision = Precision.of(choose_device(config.device))
+    devices = usable_devices(precision.device, config.batch_size)
+    try:
+        return finetune_on(devices, precision, network, dataset, config, progress, scratch)
+    except torch.OutOfMemoryError as error:  # of a GPU
+        raise StageOutOfMemory("the GPU has too little memory for this network and batch size") from error
+
+
+def finetune_on(
+    devices: int,
+    precision: Precision,
+    network: Monocular,
+    dataset: SiteDataset,
+    config: FinetuneConfig,
+    progress: Progress,
+    scratch: Path,
+) -> FinetuneResult:
+    """As `finetune`, by so many processes with a device each; the batch size is a multiple of their number."""
     _check(dataset, config)
     scratch.mkdir(parents=True, exist_ok=True)
-    training = _Training(network, dataset, config, scratch)
+    if devices == 1:
+        alone = Ranks(0, 1, precision.device)
+        result = _trained(_Training(network, dataset, config, scratch, precision, alone), progress)
+        return replace(result, network=result.network.cpu())
+    structure = copy.deepcopy(network).to("meta")  # the weights go to the helpers by themselves
+    arguments = (structure, dataset.frames, dict(dataset.rig), dataset.train, config, scratch, precision)
+    twin = copy.deepcopy(network)  # its batch normalisation becomes another
+    with helpers(devices, precision.device, scratch / "rendezvous", _help_out, arguments) as ranks:
+        result = _trained(_Training(twin, dataset, config, scratch, precision, ranks), progress)
+    network.load_state_dict(result.network.state_dict())
+    return replace(result, network=network.cpu().eval())
+
+
+def _help_out(
+    ranks: Ranks,
+    structure: Monocular,
+    frames: FrameStore,
+    cameras: dict[str, Camera],
+    train: Sequence[SiteView],
+    config: FinetuneConfig,
+    scratch: Path,
+    precision: Precision,
+) -> None:
+    dataset = SiteDataset(frames, CameraRig(cameras), train, [])
+    network = structure.to_empty(device=ranks.device)
+    _trained(_Training(network, dataset, config, scratch, precision, ranks), silent)
+
+
+def _trained(training: _Training, progress: Progress) -> FinetuneResult:
     training.resume()
-    while training.step < config.steps:
+    while not training.done:
         training.run_epoch(progress)
     return training.result()
 
@@ -107,44 +158,58 @@ def finetune(
 def _check(dataset: SiteDataset, config: FinetuneConfig) -> None:
     if not dataset.train:
         raise TooFewInstants("the training part of the split has no frame")
-    if config.method == "lifted":
-        taught = any((view.labels.confidence > 0).any() for view in dataset.train)
-    else:
+    if config.method == "paper":
         taught = any(len(view.other_vehicle) for view in dataset.train)
+    else:
+        taught = any((view.labels.confidence > 0).any() for view in dataset.train)
     if not taught:
         raise NoMultiViewVehicles("no vehicle in the training part of the split could be placed in 3D from two cameras")
 
 
-def _objective(config: FinetuneConfig) -> Objective:
-    return LiftedObjective(config.decode) if config.method == "lifted" else PaperObjective(config.decode)
-
-
-def _schedule(config: FinetuneConfig) -> LearningRateSchedule:
-    rate = config.learning_rate or _DEFAULT_RATE[config.method]
-    return CosineSchedule(rate, config.steps) if config.method == "lifted" else PlateauSchedule(rate)
+def _schedule(config: FinetuneConfig, trainable: TrainableNetwork) -> LearningRateSchedule:
+    rate = config.learning_rate or trainable.default_rates[config.method]
+    return PlateauSchedule(rate) if config.method == "paper" else CosineSchedule(rate, config.steps)
 
 
 class _Training:
-    """The state of one fine-tuning between epochs."""
+    """The state of one fine-tuning between epochs, in one of its processes."""
 
-    def __init__(self, network: SmallNetwork, dataset: SiteDataset, config: FinetuneConfig, scratch: Path) -> None:
+    def __init__(
+        self,
+        network: Monocular,
+        dataset: SiteDataset,
+        config: FinetuneConfig,
+        scratch: Path,
+        precision: Precision,
+        ranks: Ranks,
+    ) -> None:
         self.step = 0
-        self._network = network.to(memory_format=torch.channels_last)  # type: ignore[call-overload]
         self._config = config
-        self._scratch = scratch
+        self._precision = replace(precision, device=ranks.device)
+        self._ranks = ranks
+        ranks.synchronise(network.to(ranks.device))
+        self._network = network.to(memory_format=torch.channels_last)  # type: ignore[call-overload]
+        self._trainable = trainable_of(self._network, config)
+        self._checkpoint = scratch / "checkpoint.pt"
         self._train = dataset.train
         stride = max(1, -(-len(dataset.validation) // _MAX_VALIDATION_VIEWS))
-        self._validation = dataset.validation[::stride]
-        self._train_images = ImageCache(scratch / "train.npy", self._train, dataset.frames)
-        self._validation_images = ImageCache(scratch / "validation.npy", self._validation, dataset.frames)
-        self._others = OtherCameras(dataset.rig)
-        self._objective = _objective(config)
-        self._schedule = _schedule(config)
-        self._optimizer = torch.optim.AdamW(network.parameters(), lr=1.0, weight_decay=_WEIGHT_DECAY)
+        self._validation = dataset.validation[::stride] if ranks.is_first else []
+        own = scratch if ranks.is_first else scratch / f"helper{ranks.rank}"
+        own.mkdir(exist_ok=True)
+        self._train_view = self._trainable.reader(own / "train.npy", self._train, dataset.frames)
+        self._validation_view = self._trainable.reader(own / "validation.npy", self._validation, dataset.frames)
+        self._others = OtherCameras(dataset.rig, config.own_view)
+        self._schedule = _schedule(config, self._trainable)
+        self._optimizer = torch.optim.AdamW(self._network.parameters(), lr=1.0, weight_decay=_WEIGHT_DECAY)
+        self._scaler = self._precision.scaler()
         self._epochs: list[Epoch] = []
         self._best_step = 0
         self._best_state: dict[str, Tensor] = {}
-        self._mixed = _has_bfloat16()
+
+    @property
+    def done(self) -> bool:
+        """All steps are made."""
+        return self.step >= self._config.steps
 
     # --- one epoch --------------------------------------------------------------------------
     def run_epoch(self, progress: Progress) -> None:
@@ -166,8 +231,10 @@ class _Training:
         train = {name: value / (end - first) for name, value in sums.items()}
         validation = self._validate()
         self._epochs.append(Epoch(self.step, rate, train, validation))
-        judged = validation.get("total", train["total"])
+        judged = self._ranks.from_first(_judged(self._epochs[-1]))
         self._schedule = self._schedule.after_epoch(judged)
+        if not self._ranks.is_first:
+            return
         if judged <= min(_judged(epoch) for epoch in self._epochs):
             self._best_step = self.step
             self._best_state = {name: value.clone() for name, value in self._network.state_dict().items()}
@@ -178,34 +245,42 @@ class _Training:
     def _train_step(self) -> dict[str, float]:
         numbers, rng = self._draw()
         views: list[LabelledView] = []
+        sources: list[SiteView] = []
         mirrored: list[bool] = []
         for number in numbers:
-            view = self._train_images.view(number)
+            view, source = self._train_view(number), self._train[number]
             mirrored.append(bool(rng.random() < 0.5))
-            if self._config.method == "lifted" and rng.random() < _SHAKEN_SHARE:
+            if self._config.method != "paper" and rng.random() < _SHAKEN_SHARE:
                 view = shake(view, rng)
+                source = source.alone(view)
             view = mirror(view) if mirrored[-1] else view
             views.append(replace(view, image=jitter_colour(view.image, rng)))
-        parts = self._losses(views, [self._train[number] for number in numbers], mirrored)
-        total = parts["total"]
-        if not math.isfinite(float(total.detach())):
+            sources.append(source)
+        parts = self._losses(views, sources, mirrored, self._ranks.share(len(views)))
+        if not math.isfinite(float(parts["total"].detach())):
             raise self._not_finite(numbers)
+        self._update(parts["total"])
+        return {name: float(part.detach()) for name, part in parts.items()}
+
+    def _update(self, loss: Tensor) -> None:
         for group in self._optimizer.param_groups:
             group["lr"] = self._schedule.rate(self.step)
         self._optimizer.zero_grad(set_to_none=True)
-        total.backward()
+        self._scaler.scale(loss.to(self._precision.device)).backward()
+        self._ranks.add_gradients(self._network.parameters())
+        self._scaler.unscale_(self._optimizer)
         nn.utils.clip_grad_norm_(self._network.parameters(), _GRADIENT_CLIP)
-        self._optimizer.step()
-        return {name: float(part.detach()) for name, part in parts.items()}
+        self._scaler.step(self._optimizer)
+        self._scaler.update()
 
     def _losses(
-        self, views: list[LabelledView], sources: Sequence[SiteView], mirrored: Sequence[bool]
+        self, views: Sequence[LabelledView], sources: Sequence[SiteView], mirrored: Sequence[bool], share: slice
     ) -> dict[str, Tensor]:
-        images = to_input(np.stack([view.image for view in views]))
-        with torch.autocast("cpu", dtype=torch.bfloat16, enabled=self._mixed):
-            outputs: SmallOutputs = self._network(images)
-        others = self._others.of(sources, mirrored)
-        return self._objective(outputs, encode(views), self._network.mean_sizes_m, others)
+        """Of a batch of which this process runs the network on a ``share``, and the others on theirs."""
+        with self._precision.autocast():
+            own = self._trainable.forward(views, share)
+        maps = own if share == _WHOLE else self._ranks.gather(own)
+        return self._trainable.losses(maps, views, self._others.of(sources, mirrored))
 
     def _draw(self) -> tuple[list[int], np.random.Generator]:
         """The numbers of this step's views, from a fresh shuffle every time all were seen, and its generator.
@@ -235,24 +310,21 @@ class _Training:
         starts = range(0, len(self._validation), size)
         for start in starts:
             sources = self._validation[start : start + size]
-            views = [self._validation_images.view(start + offset) for offset in range(len(sources))]
+            views = [self._validation_view(start + offset) for offset in range(len(sources))]
             with torch.inference_mode():
-                parts = self._losses(views, sources, [False] * len(sources))
+                parts = self._losses(views, sources, [False] * len(sources), _WHOLE)
             for name, part in parts.items():
                 sums[name] = sums.get(name, 0.0) + float(part) * len(sources)
         return {name: value / len(self._validation) for name, value in sums.items()}
 
     # --- checkpoints ------------------------------------------------------------------------
-    @property
-    def _checkpoint(self) -> Path:
-        return self._scratch / "checkpoint.pt"
-
     def _write_checkpoint(self) -> None:
         state: dict[str, Any] = {
             "config": self._config.model_dump(),
             "step": self.step,
             "network": self._network.state_dict(),
             "optimizer": self._optimizer.state_dict(),
+            "scaler": self._scaler.state_dict(),
             "schedule": asdict(self._schedule),
             "epochs": [asdict(epoch) for epoch in self._epochs],
             "best_step": self._best_step,
@@ -267,6 +339,8 @@ class _Training:
             return
         self._network.load_state_dict(state["network"])
         self._optimizer.load_state_dict(state["optimizer"])
+        if state["scaler"]:
+            self._scaler.load_state_dict(state["scaler"])
         self._schedule = type(self._schedule)(**state["schedule"])
         self._epochs = [Epoch(**epoch) for epoch in state["epochs"]]
         self._best_step, self._best_state = state["best_step"], state["best"]
@@ -288,8 +362,3 @@ class _Training:
 
 def _judged(epoch: Epoch) -> float:
     return epoch.validation.get("total", epoch.train["total"])
-
-
-def _has_bfloat16() -> bool:
-    """Whether the processor multiplies in bfloat16; without, mixed precision is slower than float32."""
-    return bool(torch.cpu.get_capabilities().get("avx512_bf16", False))

@@ -47,6 +47,11 @@ def focal_loss(logits: Tensor, heat: Tensor, judged: Tensor) -> Tensor:
     return -(judged * (positive + negative)).sum() / peak.sum().clamp_min(1.0)
 
 
+def box2d_loss(values: PeakValues, targets: Targets) -> Tensor:
+    """Mean over taught cells of the L1 errors of the 2D box: its centre's offset and its log size."""
+    return (values.box2d - targets.box2d.double()).abs().sum() / max(len(targets.cells), 1)
+
+
 def lifted_loss(
     outputs: SmallOutputs, targets: Targets, mean_sizes_m: Tensor, weights: LossWeights, decode: Decode = "plane"
 ) -> dict[str, Tensor]:
@@ -67,7 +72,7 @@ def lifted_loss(
 
     parts = {
         "heat": focal_loss(outputs.heat, targets.heat, targets.judged),
-        "box2d": (values.box2d - targets.box2d.double()).abs().sum() / max(len(lifted), 1),
+        "box2d": box2d_loss(values, targets),
         "centre3d": l1(values.centre3d, targets.centre3d),
         "depth": l1(values.depth, targets.depth),
         "size": l1(values.size, targets.size),

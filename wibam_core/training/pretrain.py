@@ -12,6 +12,7 @@ import argparse
 import time
 from collections.abc import Iterator
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -40,8 +41,9 @@ from wibam_core.training.targets import encode
 from wibam_core.training.validation import ViewResult, measure
 from wibam_core.training.views import LabelledView
 
+#: Of the images trained on: parts of images of `INPUT_WIDTH_PX`.
 WIDTH_PX, HEIGHT_PX = 512, 288
-RENDERED_PX = (544, 384)
+_MEASURED_PX = (640, 360)
 
 TRAINING_SEED = 100_000
 VALIDATION_SEED = 300_000
@@ -54,18 +56,21 @@ _REPORT_RANGE_M = 40.0
 _MIN_SCORE = 0.3
 
 
-def augmented(pool: ViewPool, rng: np.random.Generator) -> LabelledView:
-    """A random view through a random virtual camera, flipped, recoloured, cut out and compressed."""
-    view = virtual_view(pool.draw(rng), rng)
+def augmented(pool: ViewPool, rng: np.random.Generator, zoom: tuple[float, float] = (0.85, 1.8)) -> LabelledView:
+    """A random view through a random virtual camera, flipped, recoloured, cut out and compressed.
+
+    ``zoom`` bounds the focal length of the trained images against the rendered ones' at the same width.
+    """
+    view = virtual_view(pool.draw(rng), rng, zoom)
     if rng.random() < 0.5:
         view = mirror(view)
     image = cut_out(jitter_colour(view.image, rng), rng)
     return replace(view, image=compress(image, rng) if rng.random() < 0.3 else image)
 
 
-def virtual_view(view: LabelledView, rng: np.random.Generator) -> LabelledView:
+def virtual_view(view: LabelledView, rng: np.random.Generator, zoom: tuple[float, float]) -> LabelledView:
     """The view turned down as far as a randomly chosen vehicle stays in the image, zoomed and rolled a little."""
-    camera = plain_camera(view.camera, WIDTH_PX, HEIGHT_PX, float(np.exp(rng.uniform(np.log(0.7), np.log(1.45)))))
+    camera = plain_camera(view.camera, WIDTH_PX, HEIGHT_PX, float(np.exp(rng.uniform(*np.log(zoom)))))
     down = left = 0.0
     if len(view.classes):
         box = view.boxes2d[rng.integers(len(view.classes))]
@@ -117,14 +122,16 @@ def main() -> None:
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--threads", type=int, default=1)
     parser.add_argument("--views", type=int, default=80, help="views that are measured on, of each kind")
+    parser.add_argument("--rendered", type=int, nargs=2, default=(704, 496), help="width and height, px")
+    parser.add_argument("--zoom", type=float, nargs=2, default=(0.85, 1.8), help="of the trained against the rendered")
     parser.add_argument("--start", type=Path, help="weights to go on from; with --steps 0 they are only measured")
     arguments = parser.parse_args()
     torch.set_num_threads(arguments.threads)
     torch.manual_seed(arguments.seed)
     arguments.out.mkdir(parents=True, exist_ok=True)
     network = load_network(arguments.start) if arguments.start else SmallNetwork()
-    validation = render(VALIDATION_SEED, "ego", arguments.views, (WIDTH_PX, HEIGHT_PX))
-    site = render(SITE_REPORT_SEED, "site", arguments.views, (WIDTH_PX, HEIGHT_PX))
+    validation = render(VALIDATION_SEED, "ego", arguments.views, _MEASURED_PX)
+    site = render(SITE_REPORT_SEED, "site", arguments.views, _MEASURED_PX)
     shards = -(-arguments.images // arguments.shard)
     plan = PoolPlan(
         TRAINING_SEED + arguments.seed,
@@ -132,7 +139,7 @@ def main() -> None:
         arguments.images,
         arguments.shard,
         max(1, int(0.6 * arguments.steps) // shards),
-        RENDERED_PX,
+        (arguments.rendered[0], arguments.rendered[1]),
     )
 
     def figures(averaged: SmallNetwork) -> dict[str, Any]:
@@ -154,7 +161,7 @@ def main() -> None:
         network,
         ViewPool(plan),
         Schedule(arguments.steps, 8, arguments.learning_rate, 50, 500),
-        augmented,
+        partial(augmented, zoom=(arguments.zoom[0], arguments.zoom[1])),
         losses,
         checkpoint,
         log_path,

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -12,7 +13,6 @@ from torch import Tensor
 
 from wibam_core.geometry.camera import Camera
 from wibam_core.geometry.torch_ops import CameraTensors
-from wibam_core.models.decode import focal_px
 from wibam_core.models.small import MEAN_SIZES_M, REFERENCE_FOCAL_PX
 from wibam_core.models.trunk import STRIDE
 from wibam_core.scene import CLASSES
@@ -158,4 +158,5 @@ def _lifted_values(
 
 
 def _focal_px(camera: Camera) -> float:
-    return float(focal_px(CameraTensors.from_cameras([camera], torch.float64))[0])
+    """As `wibam_core.models.decode.focal_px`, without making tensors of the camera."""
+    return math.sqrt(camera.K[0, 0] * camera.K[1, 1])

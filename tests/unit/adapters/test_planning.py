@@ -58,3 +58,5 @@ def test_refusals() -> None:
         plan_stages(SITE, {"x": 1}, BOTH)
     with pytest.raises(InputError, match="no detector"):
         plan_stages(SITE, {"detect": {"detector": "custom"}}, BOTH)
+    with pytest.raises(InputError, match="no network"):
+        plan_stages(SITE, {"finetune": {"network": "custom"}}, BOTH)

@@ -64,9 +64,11 @@ def test_a_site_folder_is_sent_whole(api: LiveApi, tmp_path: Path) -> None:
     folder = site_folder(tmp_path / "site")
     (folder / "labels.json").write_text("{}")
     (folder / "detector.onnx").write_bytes(b"onnx")
+    (folder / "network.safetensors").write_bytes(b"weights")
     site = wibam(api, "upload", str(folder)).split()[-1]
     sent = {(item["purpose"], item["camera"]) for item in api.http.get(f"/v1/sites/{site}/recordings").json()}
-    assert sent == {("recording", "cam1"), ("recording", "cam2"), ("labels", None), ("detector", None)}
+    assets = {("labels", None), ("detector", None), ("network", None)}
+    assert sent == {("recording", "cam1"), ("recording", "cam2"), *assets}
     plan = wibam(api, "jobs", "create", site, "--dry-run", "--set", "finetune.steps=5")
     assert "Fine-tune" in plan
     job = wibam(api, "jobs", "create", site).strip()

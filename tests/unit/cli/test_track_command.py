@@ -11,11 +11,13 @@ from typer.testing import CliRunner
 from tests.builders import corner_rig
 from tests.recordings import write_recording
 from wibam_core.cli.app import app
-from wibam_core.errors import CalibrationError, MissingCamera
+from wibam_core.errors import CalibrationError, InvalidWeights, MissingCamera
 from wibam_core.formats.rig import write_rig
 from wibam_core.formats.tracks import read_tracks
 from wibam_core.models.convert import convert_checkpoint
 from wibam_core.models.dla34 import DLA34
+from wibam_core.models.export import export_small
+from wibam_core.models.weights import bundled, load_network
 from wibam_core.scene import VehicleClass
 from wibam_core.video.decode import decode
 from wibam_core.video.encode import VideoWriter
@@ -51,6 +53,16 @@ def test_a_camera_or_shape_that_does_not_fit_is_refused(tmp_path: Path) -> None:
         run(square, "--calibration", tmp_path / "rig.json", "--camera", "cam9")
     with pytest.raises(CalibrationError, match="640x360"):
         run(square, "--calibration", tmp_path / "rig.json")
+
+
+def test_a_model_may_be_onnx(video: Path, tmp_path: Path) -> None:
+    torch.set_num_threads(1)
+    export_small(load_network(bundled("mono_small.safetensors")), tmp_path / "model.onnx")
+    out = tmp_path / "tracks.parquet"
+    run(video, "--out", out, "--rate", "2", "--weights", tmp_path / "model.onnx")
+    assert read_tracks(out) == []
+    with pytest.raises(InvalidWeights, match="wibam-centre"):
+        run(video, "--out", out, "--weights", bundled("detector2d.onnx"))
 
 
 @pytest.fixture(scope="module")

@@ -47,9 +47,9 @@ def save(
     return path
 
 
-def centre_model(path: Path, peaks: list[tuple[int, int, int, float, list[float]]], rows: int = 72) -> Path:
+def centre_model(path: Path, peaks: list[tuple[int, int, int, float, list[float]]], rows: int = 96) -> Path:
     """Peaks: class, row, column, heat, distances in cells."""
-    heat, ltrb = np.zeros((1, 4, rows, 128)), np.ones((1, 4, rows, 128))
+    heat, ltrb = np.zeros((1, 4, rows, 160)), np.ones((1, 4, rows, 160))
     for number, row, column, score, sides in peaks:
         heat[0, number, row, column] = score
         ltrb[0, :, row, column] = sides
@@ -74,7 +74,7 @@ def image(width: int, height: int) -> np.ndarray:
 
 def test_convention_centre_boxes_at_the_networks_own_size(tmp_path: Path) -> None:
     path = centre_model(tmp_path / "a.onnx", [(TRUCK, 20, 30, 0.9, [5, 3, 4, 2])])
-    found = load_detector(path, min_score=0.3, nms_iou=0.6).detect(image(512, 288))
+    found = load_detector(path, min_score=0.3, nms_iou=0.6).detect(image(640, 384))
     centre = np.array([30.5 * 4 - 0.5, 20.5 * 4 - 0.5])
     expected = [*(centre - 4 * np.array([5, 3])), *(centre + 4 * np.array([4, 2]))]
     assert np.allclose(found.boxes, [expected])
@@ -83,22 +83,22 @@ def test_convention_centre_boxes_at_the_networks_own_size(tmp_path: Path) -> Non
 
 
 @pytest.mark.parametrize(
-    ("width", "height", "rows"), [(1024, 576, 72), (640, 360, 72), (640, 480, 96), (1920, 1080, 72)]
+    ("width", "height", "rows"), [(1280, 720, 96), (512, 288, 96), (640, 480, 120), (1920, 1080, 96)]
 )
 def test_convention_centre_boxes_are_in_the_pixels_of_the_image(
     tmp_path: Path, width: int, height: int, rows: int
 ) -> None:
     path = centre_model(tmp_path / "a.onnx", [(BUS, 20, 30, 0.9, [5, 3, 4, 2])], rows)
     found = load_detector(path, min_score=0.3, nms_iou=0.6).detect(image(width, height))
-    at_512 = np.array([30.5 * 4 - 0.5 - 20, 20.5 * 4 - 0.5 - 12, 30.5 * 4 - 0.5 + 16, 20.5 * 4 - 0.5 + 8])
-    assert np.allclose(found.boxes[0], (at_512 + 0.5) * width / 512 - 0.5)
+    at_640 = np.array([30.5 * 4 - 0.5 - 20, 20.5 * 4 - 0.5 - 12, 30.5 * 4 - 0.5 + 16, 20.5 * 4 - 0.5 + 8])
+    assert np.allclose(found.boxes[0], (at_640 + 0.5) * width / 640 - 0.5)
 
 
 def test_centre_input_is_bgr_in_0_to_1_padded_to_32_rows(tmp_path: Path) -> None:
     """The heat is the input itself, 320 rows of it for 300 of the image: a blue pixel is a peak of the first class."""
-    outputs = {"heat": np.zeros((1, 3, 320, 512)), "ltrb": np.ones((1, 4, 320, 512))}
-    path = save(tmp_path / "a.onnx", "image", [1, 3, 320, 512], outputs, {"family": "wibam-centre"}, mirrored="heat")
-    shown = np.zeros((300, 512, 3), np.uint8)
+    outputs = {"heat": np.zeros((1, 3, 320, 640)), "ltrb": np.ones((1, 4, 320, 640))}
+    path = save(tmp_path / "a.onnx", "image", [1, 3, 320, 640], outputs, {"family": "wibam-centre"}, mirrored="heat")
+    shown = np.zeros((300, 640, 3), np.uint8)
     shown[70, 100] = (255, 51, 0)
     shown[40, 50] = (0, 102, 0)
     found = load_detector(path, min_score=0.1, nms_iou=0.5).detect(shown)
@@ -115,14 +115,14 @@ def test_one_vehicle_is_one_box_whatever_its_classes(tmp_path: Path) -> None:
         (CAR, 60, 10, 0.2, [5, 3, 4, 2]),
     ]
     path = centre_model(tmp_path / "a.onnx", peaks)
-    found = load_detector(path, min_score=0.3, nms_iou=0.6).detect(image(512, 288))
+    found = load_detector(path, min_score=0.3, nms_iou=0.6).detect(image(640, 384))
     assert found.classes.tolist() == [VAN, CAR]
     assert found.scores == pytest.approx([0.8, 0.4])
 
 
 def test_nothing_found_is_empty_arrays(tmp_path: Path) -> None:
     for path, size in (
-        (centre_model(tmp_path / "a.onnx", []), (512, 288)),
+        (centre_model(tmp_path / "a.onnx", []), (640, 384)),
         (yolox_model(tmp_path / "b.onnx", {}), (64, 64)),
     ):
         found = load_detector(path, min_score=0.3, nms_iou=0.6).detect(image(*size))

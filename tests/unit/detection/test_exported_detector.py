@@ -24,7 +24,7 @@ def network() -> Detector2D:
     return network
 
 
-@pytest.mark.parametrize(("width", "height"), [(640, 360), (512, 384)])
+@pytest.mark.parametrize(("width", "height"), [(960, 540), (640, 480)])
 def test_exported_detector_gives_the_networks_peaks(
     network: Detector2D, tmp_path: Path, width: int, height: int
 ) -> None:
@@ -36,9 +36,9 @@ def test_exported_detector_gives_the_networks_peaks(
     image = np.asarray(cv2.resize(image, (width, height), interpolation=cv2.INTER_CUBIC))
     found = detector.detect(image)
 
-    content = round(height * 512 / width)
-    small = cv2.resize(image, (512, content), interpolation=cv2.INTER_AREA)
-    blob = np.zeros((-(-content // 32) * 32, 512, 3), np.float32)
+    content = round(height * 640 / width)
+    small = cv2.resize(image, (640, content), interpolation=cv2.INTER_AREA)
+    blob = np.zeros((-(-content // 32) * 32, 640, 3), np.float32)
     blob[:content] = small / 255.0
     with torch.inference_mode():
         heat, ltrb = ExportedDetector2D(network)(torch.from_numpy(blob).permute(2, 0, 1)[None])
@@ -46,7 +46,7 @@ def test_exported_detector_gives_the_networks_peaks(
     number, row, column = np.unravel_index(int(at), heat[0].shape)
     sides = 4 * ltrb[0, :, row, column].numpy()
     centre = (np.array([column, row]) + 0.5) * 4 - 0.5
-    box = (np.concatenate([centre - sides[:2], centre + sides[2:]]) + 0.5) * width / 512 - 0.5
+    box = (np.concatenate([centre - sides[:2], centre + sides[2:]]) + 0.5) * width / 640 - 0.5
     assert found.scores[0] == pytest.approx(float(scores), abs=1e-4)
     assert found.classes[0] == number
     assert np.allclose(found.boxes[0], np.clip(box, -0.5, np.array([width, height] * 2) - 0.5), atol=1e-2)

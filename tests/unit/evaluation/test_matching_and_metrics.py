@@ -11,7 +11,7 @@ from wibam_core.evaluation.evaluate import evaluate
 from wibam_core.evaluation.labels_at import LabelTimeline
 from wibam_core.evaluation.matching import assign, match_in_image, match_on_ground, paper_filter
 from wibam_core.evaluation.metrics import METRICS, alias_share, compare, compare_as_published, scale_error
-from wibam_core.evaluation.summary import by_distance, by_visibility, summarise
+from wibam_core.evaluation.summary import by_class, by_distance, by_elevation, by_visibility, summarise
 from wibam_core.scene import LabelledInstant, Vehicles3D
 
 CAMERA = look_at((-25.0, 0.0, 8.0))
@@ -212,10 +212,43 @@ def test_nothing_matched_gives_none_not_nan() -> None:
 def test_bins_hold_every_sighting_once() -> None:
     truth = boxes((-10, 0), (0, 0), (8, 8), (15, -5))
     evaluation = run(detected(truth[:3] + 0.1), labelled(truth, [0.31, 0.5, 0.95, 1.0]), min_visibility=0.3)
-    for bins in (by_visibility(evaluation), by_distance(evaluation)):
+    for bins in (by_visibility(evaluation), by_distance(evaluation), by_elevation(evaluation), by_class(evaluation)):
         assert sum(b["matched"] for b in bins) == 3
         assert sum(b["missed"] for b in bins) == 1
     assert [b["low"] for b in by_visibility(evaluation)] == [0.3, 0.9]
+
+
+def test_elevation_is_the_angle_between_the_ground_and_the_ray_to_the_vehicle() -> None:
+    # 7.25 m above the vehicles' middles, at 10, 20 and 41.1 m
+    truth = boxes((-15, 0), (-5, 0), (16.1, 0))
+    evaluation = run(detected(truth), labelled(truth, [1] * 3))
+    np.testing.assert_allclose(evaluation.matched.elevation_deg, np.degrees(np.arctan2(7.25, [10, 20, 41.1])))
+    assert [(b["low"], b["high"]) for b in by_elevation(evaluation)] == [(10, 20), (30, None)]
+    near = run(detected(truth[2:]), labelled(truth[2:], [1.0]), max_range_m=60)
+    assert [(b["low"], b["high"]) for b in by_elevation(near)] == [(10, 20)]
+    far = boxes((24, 0))
+    assert by_elevation(run(detected(far), labelled(far, [1.0])))[0]["low"] is None
+
+
+def test_classes_are_the_true_ones() -> None:
+    truth = boxes((0, 0), (8, 8), (-9, 4))
+    vehicles = Vehicles3D.of(0, truth, classes=np.array([3, 0, 0]), ids=np.arange(3))
+    found = by_class(run(detected(truth[:2]), LabelledInstant(vehicles, {"a": np.ones(3)})))
+    assert [(b["class"], b["matched"], b["missed"], b["recall"]) for b in found] == [
+        ("car", 1, 1, 0.5),
+        ("bus", 1, 0, 1),
+    ]
+
+
+def test_errors_and_stated_standard_deviations_are_those_of_the_matches() -> None:
+    truth = boxes((0, 0), (8, 8), yaw=3.1)
+    found = truth[::-1] + [[0.1, 0, 0, 0, 0, 0, 0.2]]
+    sd = np.array([[0.2] * 7, [0.3] * 7])
+    vehicles = Vehicles3D.of(0, found, sd=sd, camera_id="a")
+    evaluation = run(vehicles, labelled(truth, [1, 1]))
+    np.testing.assert_allclose(evaluation.errors, [[0.1, 0, 0, 0, 0, 0, 0.2]] * 2, atol=1e-12)
+    assert evaluation.matched.vehicle_ids.tolist() == [0, 1]
+    np.testing.assert_allclose(evaluation.sd[:, 0], [0.3, 0.2])
 
 
 def test_sightings_without_an_id_are_different_vehicles() -> None:

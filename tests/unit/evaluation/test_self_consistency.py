@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from tests.builders import corner_rig
-from wibam_core.evaluation.self_consistency import self_consistency
+from wibam_core.evaluation.self_consistency import Agreement, roughness, self_consistency
 from wibam_core.geometry.projection import project_boxes
 from wibam_core.scene import AnnotatedInstant, CameraRig, Detections2D, MultiViewVehicle, VehicleClass, Vehicles3D
 
@@ -54,3 +54,36 @@ def test_without_detections_or_views_there_is_nothing_to_average() -> None:
     assert result["found"] == 0
     assert result["other_views"] == {"mean": None, "sd": None}
     assert self_consistency([], [], RIG)["found"] is None
+
+
+def sighting(time_s: float, x_m: float, y_m: float = 0.0, camera_id: str = "a", track_id: int = 1) -> Agreement:
+    return Agreement(round(time_s * 1e9), camera_id, 0, track_id, time_s, x_m, y_m, 1.0, (1.0,))
+
+
+def test_steady_motion_is_smooth_whenever_frames_are_exposed() -> None:
+    times = [0.0, 0.43, 0.79, 1.2]
+    np.testing.assert_allclose(roughness([sighting(t, 10 * t, -3 * t) for t in times]), [0, 0], atol=1e-12)
+
+
+def test_a_box_beside_the_line_is_rough_by_its_distance() -> None:
+    found = [sighting(0.0, 0.0), sighting(0.4, 4.0, 0.5), sighting(0.8, 8.0)]
+    np.testing.assert_allclose(roughness(found[::-1]), [0.5])
+
+
+def test_only_one_vehicles_boxes_of_one_camera_close_in_time_are_compared() -> None:
+    assert not len(roughness([sighting(0.0, 0.0), sighting(0.4, 4.0, camera_id="b"), sighting(0.8, 8.0)]))
+    assert not len(roughness([sighting(0.0, 0.0), sighting(0.4, 4.0, track_id=2), sighting(0.8, 8.0)]))
+    assert not len(roughness([sighting(0.4 * k, k, track_id=-1) for k in range(5)]))
+    assert not len(roughness([sighting(0.0, 0.0), sighting(1.4, 4.0), sighting(1.8, 8.0)]))
+
+
+def test_predictions_over_time_have_a_roughness() -> None:
+    instants, predicted = [], []
+    for k in range(4):
+        time_ns = k * 400_000_000
+        one = annotate(RIG)
+        detections = {c: Detections2D(c, time_ns, d.boxes, d.scores, d.classes) for c, d in one.detections.items()}
+        instants.append(AnnotatedInstant(time_ns, detections, one.vehicles))
+        sideways = 0.2 * (-1) ** k
+        predicted += [Vehicles3D.of(time_ns, TRUTH + [sideways, 0, 0, 0, 0, 0, 0], camera_id=c) for c in RIG]
+    assert self_consistency(predicted, instants, RIG)["roughness_m"]["mean"] == pytest.approx(0.4)

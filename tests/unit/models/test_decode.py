@@ -81,7 +81,7 @@ def test_boxes_are_finite_and_plausible_whatever_the_network_says() -> None:
         wild.yaw * 0,
         wild.log_scale * 100,
     )
-    for decode in ("plane", "depth"):
+    for decode in ("plane", "depth", "fused"):
         boxes = boxes3d(wild, cameras(), SIZES, decode)
         assert torch.isfinite(boxes).all()
         assert (boxes[:, 3:6] > 0).all()
@@ -116,6 +116,49 @@ def test_under_depth_decoding_the_depths_uncertainty_lies_along_the_ray() -> Non
     share = float(np.exp(-2.0) * np.sqrt(2))
     np.testing.assert_allclose(sd[:3].numpy(), offset.abs().numpy() * share, rtol=0.02)
     assert float(standard_deviations(found, boxes, cameras(), "plane")[0, :2].max()) < 0.2 * float(sd[:2].max())
+
+
+def test_fused_boxes_lie_where_the_more_certain_of_plane_and_depth_puts_them() -> None:
+    found = values()
+    for certain, other, decode in ((-9.0, 0.0, "plane"), (0.0, -9.0, "depth")):
+        log_scale = torch.tensor([[certain, other, certain, -3.0]], dtype=torch.float64).expand(6, 4)
+        sure = replace(found, log_scale=log_scale)
+        fused, alone = (boxes3d(sure, cameras(), SIZES, how) for how in ("fused", decode))
+        torch.testing.assert_close(fused[:, :2], alone[:, :2], atol=0.01, rtol=0)
+        torch.testing.assert_close(fused[:, 2], fused[:, 5] / 2)
+
+
+def test_fusion_is_better_than_either_and_says_how_good_it_is() -> None:
+    n = 4000
+    one = values(n=1, seed=3)
+    scales = torch.tensor([[0.35, 0.012, 0.02, 0.05]], dtype=torch.float64)
+    rng = np.random.default_rng(1)
+
+    def noise(size: tuple[int, ...], column: int) -> torch.Tensor:
+        return torch.tensor(rng.laplace(0, float(scales[0, column]), size))
+
+    truth = boxes3d(one, cameras(), SIZES, "plane")[0]
+    seen_by = cameras()[one.image]
+    forward = seen_by.rotation[0, 2]
+    depth = torch.log((truth[:3] - seen_by.centre_m[0]) @ forward)[None]  # the cameras have the reference focal length
+    repeated = {name: getattr(one, name).repeat_interleave(n, dim=0) for name in one.__dataclass_fields__}
+    noisy = PeakValues(
+        **repeated
+        | {
+            "centre3d": repeated["centre3d"] + noise((n, 2), 0),
+            "depth": depth.expand(n) + noise((n,), 1),
+            "size": repeated["size"] + noise((n, 1), 2),
+            "log_scale": torch.log(scales).expand(n, 4),
+        }
+    )
+    error = {}
+    for how in ("plane", "depth", "fused"):
+        boxes = boxes3d(noisy, cameras(), SIZES, how)
+        error[how] = float((boxes[:, :2] - truth[:2]).square().sum(dim=1).mean().sqrt())
+    assert error["fused"] < 0.93 * min(error["plane"], error["depth"])
+    fused = boxes3d(noisy, cameras(), SIZES, "fused")
+    stated = standard_deviations(noisy, fused, cameras(), "fused")[:, :2].square().sum(dim=1).mean().sqrt()
+    assert error["fused"] == pytest.approx(float(stated), rel=0.15)
 
 
 def test_convention_cells_are_centred_in_their_four_pixels() -> None:

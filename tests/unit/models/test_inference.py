@@ -87,14 +87,14 @@ def test_a_bar_that_nothing_reaches_gives_empty_answers(network: SmallNetwork) -
 def test_images_are_scaled_to_the_width_and_padded_below() -> None:
     image = np.full((1080, 1920, 3), 200, np.uint8)
     prepared = prepare_image(image)
-    assert prepared.shape == (288, 512, 3)
+    assert prepared.shape == (384, 640, 3)
     tall = prepare_image(np.full((300, 400, 3), 200, np.uint8))
-    assert tall.shape == (384, 512, 3)
-    odd = prepare_image(np.full((301, 512, 3), 200, np.uint8))
-    assert odd.shape == (320, 512, 3)
+    assert tall.shape == (480, 640, 3)
+    odd = prepare_image(np.full((301, 640, 3), 200, np.uint8))
+    assert odd.shape == (320, 640, 3)
     assert (odd[:301] == 200).all()
     assert (odd[301:] == 0).all()
-    assert content_height_px(1920, 1080) == 288
+    assert content_height_px(1920, 1080) == 360
 
 
 def test_the_prepared_camera_sees_where_the_prepared_image_shows() -> None:
@@ -102,7 +102,7 @@ def test_the_prepared_camera_sees_where_the_prepared_image_shows() -> None:
     point = np.array([2.0, 1.0, 0.0])
     uv, _ = camera.project(point)
     scaled, _ = prepare_camera(camera).project(point)
-    np.testing.assert_allclose(scaled, (uv + 0.5) * 512 / 1920 - 0.5)
+    np.testing.assert_allclose(scaled, (uv + 0.5) * 640 / 1920 - 0.5)
 
 
 def test_frames_refuse_other_images() -> None:

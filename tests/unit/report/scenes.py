@@ -9,6 +9,7 @@ import cv2
 import numpy as np
 
 from tests.builders import corner_rig
+from wibam_core.evaluation.reliability import reliability
 from wibam_core.geometry.box3d import corners
 from wibam_core.geometry.camera import Camera
 from wibam_core.geometry.ground import intersect_plane
@@ -163,18 +164,24 @@ def metrics_json(*, labels: bool = True) -> dict[str, Any]:
         | {name: methods["finetuned"][name] for name in change}
         for low, high in ((0.0, 10.0), (10.0, 20.0), (20.0, 30.0), (50.0, None))
     ]
+    angles = [
+        {**one, "low": low, "high": high} for one, (low, high) in zip(bins, ((None, 10.0), (10.0, 20.0)), strict=False)
+    ]
+    classes = [{**one, "class": name} for one, name in zip(bins, ("car", "van", "bus"), strict=False)]
     shares = [{**one, "low": low, "high": low + 0.2} for one, low in zip(bins, (0.3, 0.5, 0.7), strict=False)]
     agreement = {
         name: {
             "other_views": {"mean": mean, "sd": 0.2},
             "own_view": {"mean": 0.8, "sd": 0.1},
+            "roughness_m": {"mean": 0.31, "sd": 0.2},
             "pairs": 900,
             "found": 0.9,
         }
         for name, mean in (("baseline", 0.42), ("baseline_depth", 0.2), ("finetuned", 0.71))
     }
     if not labels:
-        empty = dict.fromkeys((*methods, "paper_compat", "significance", "by_visibility", "by_distance"))
+        breakdowns = ("by_visibility", "by_distance", "by_elevation", "by_class")
+        empty = dict.fromkeys((*methods, "paper_compat", "significance", *breakdowns, "reliability"))
         return {
             "options": OPTIONS,
             "labels": "none",
@@ -200,8 +207,22 @@ def metrics_json(*, labels: bool = True) -> dict[str, Any]:
         },
         "by_visibility": {"baseline": shares, "baseline_depth": shares, "finetuned": shares},
         "by_distance": {"baseline": bins, "baseline_depth": bins, "finetuned": bins},
+        "by_elevation": {"baseline": angles, "baseline_depth": angles, "finetuned": angles},
+        "by_class": {"baseline": classes, "baseline_depth": classes, "finetuned": classes},
+        "reliability": {
+            name: reliability_json(factor)
+            for name, factor in (("baseline", 2.5), ("finetuned_as_learned", 1.8), ("finetuned", 1.0))
+        },
+        "sd_factors": {"position": 1.83, "z": 1.0, "size": 0.71, "yaw": 1.52},
         "self_consistency": agreement,
     }
+
+
+def reliability_json(factor: float) -> dict[str, Any]:
+    """Figures of standard deviations that are too small by a factor, of 800 boxes."""
+    rng = np.random.default_rng(0)
+    sd = rng.uniform(0.1, 0.6, (800, 7))
+    return reliability(rng.laplace(0, factor * sd / np.sqrt(2)), sd)
 
 
 def conflicts_json() -> dict[str, Any]:

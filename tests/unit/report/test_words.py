@@ -108,6 +108,12 @@ def test_advice_sees_a_gain_that_loses_vehicles():
     assert "fewer vehicles are found" in " ".join(advice(Metrics.model_validate(document)))
 
 
+def test_advice_ends_with_what_fine_tuning_warned_of():
+    for labels in (True, False):
+        metrics = Metrics.model_validate(metrics_json(labels=labels))
+        assert advice(metrics, ["Record more."]) == [*advice(metrics), "Record more."]
+
+
 def test_advice_without_labels_claims_no_accuracy():
     text = " ".join(advice(Metrics.model_validate(metrics_json(labels=False))))
     assert "no labels" in text and "0.42 before and 0.71 after" in text

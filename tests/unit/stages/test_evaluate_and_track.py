@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Iterable, Iterator
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -109,9 +110,44 @@ def test_frames_are_compared_with_labels_at_the_time_they_were_exposed(context: 
     assert metrics["labels"] == summary["labels"] == "hand"
     assert metrics["paper_compat"]["finetuned"]["iou_3d"]["mean"] == pytest.approx(0.75)
     assert set(metrics["significance"]) == set(METRICS)
-    assert metrics["by_visibility"]["finetuned"][0]["matched"] == 2 * len(TEST) * 2
+    for by in ("by_visibility", "by_distance", "by_elevation", "by_class"):
+        assert sum(part["matched"] for part in metrics[by]["finetuned"]) == 2 * len(TEST) * 2, by
+    assert metrics["reliability"]["finetuned"]["yaw"] == {"count": 0}  # the oracle states no standard deviations
     # the other view's box was not moved to this view's time: the honest share of the difference stays
     assert 0.8 < metrics["self_consistency"]["finetuned"]["other_views"]["mean"] < 1
+
+
+def test_standard_deviations_are_multiplied_as_the_validation_part_says(
+    context: StageContext, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Errors of 0.5 m are stated as 0.1 m, and the factor of 3 does not make up for all of it."""
+
+    def unsure(network: Any, frames: Iterable[Frame], **options: Any) -> Iterator[Vehicles3D]:
+        for number, found in enumerate(oracle(network, frames, **options)):
+            boxes = found.boxes + [0.5 * (-1) ** number, 0.5, 0, 0, 0, 0, 0]
+            yield replace(found, boxes=boxes, sd=np.full_like(boxes, 0.1))
+
+    monkeypatch.setattr(evaluate, "predict", unsure)
+    monkeypatch.setattr(track, "predict", unsure)
+    curves = {"decode": "plane", "sd_factors": {"position": 3.0, "yaw": 2.0}}
+    (context.upstream["finetune"] / "curves.json").write_text(json.dumps(curves))
+    evaluate.run(context, EvaluateConfig())
+    metrics = json.loads((context.output / "metrics.json").read_text())
+    assert metrics["sd_factors"] == {"position": 3.0, "z": 1.0, "size": 1.0, "yaw": 2.0}
+    learned, calibrated, baseline = (
+        metrics["reliability"][name]["position"] for name in ("finetuned_as_learned", "finetuned", "baseline")
+    )
+    assert learned["scale_factor"] == pytest.approx(baseline["scale_factor"])
+    assert learned["scale_factor"] == pytest.approx(3 * calibrated["scale_factor"])
+    kept = read_vehicles3d(context.output / "predictions_finetuned.parquet")
+    np.testing.assert_allclose(kept[0].sd[0], [0.3, 0.3, 0.1, 0.1, 0.1, 0.1, 0.2])
+    surer = {"decode": "plane"}
+    track.run(context, TrackConfig())
+    wide = read_tracks(context.output / "tracks.parquet")
+    (context.upstream["finetune"] / "curves.json").write_text(json.dumps(surer))
+    track.run(context, TrackConfig())
+    narrow = read_tracks(context.output / "tracks.parquet")
+    assert np.median(wide[0].sd[:, 0]) > np.median(narrow[0].sd[:, 0])
 
 
 def test_predictions_are_kept_at_the_instants_of_the_test_part_alone(context: StageContext) -> None:

@@ -14,6 +14,7 @@ from wibam_core.dataset.split import Split
 from wibam_core.formats.annotations import write_annotations
 from wibam_core.formats.rig import write_rig
 from wibam_core.formats.vehicles3d import write_vehicles3d
+from wibam_core.models.onnx_network import OnnxNetwork
 from wibam_core.models.weights import load_network
 from wibam_core.progress import silent
 from wibam_core.stages import finetune
@@ -45,7 +46,12 @@ def test_writes_weights_and_curves(tmp_path: Path) -> None:
     context = context_of(tmp_path)
     config = FinetuneConfig(steps=2, steps_per_epoch=1, batch_size=2)
     summary = finetune.run(context, config)
-    load_network(context.output / "weights.safetensors")
+    network = load_network(context.output / "weights.safetensors")
+    images = torch.rand(1, 3, 64, 96)
+    with torch.inference_mode():
+        expected = network(images)
+    found = OnnxNetwork.load(context.output / "weights.onnx")(images)
+    torch.testing.assert_close(vars(found), vars(expected), atol=1e-3, rtol=0)
     curves = json.loads((context.output / "curves.json").read_text())
     assert curves["decode"] == "plane"
     assert [epoch["step"] for epoch in curves["epochs"]] == [1, 2]

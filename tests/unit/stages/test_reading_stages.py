@@ -295,7 +295,7 @@ def test_convention_detections_are_in_pixels_of_the_recording(tmp_path: Path, mo
     seen: list[float] = []
     run = Run(tmp_path, {"a": tmp_path, "b": tmp_path})
     context = run.context("detect", progress=lambda fraction, message="", **figures: seen.append(fraction))
-    summary = detect.run(context, DetectConfig())
+    summary = detect.run(context, DetectConfig(refine="off"))
     instants = read_annotations(tmp_path / "detect" / "detections.parquet")
     assert [instant.time_ns for instant in instants] == [i * S for i in range(40)]
     for i, instant in enumerate(instants):

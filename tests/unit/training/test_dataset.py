@@ -7,6 +7,9 @@ import pytest
 
 from tests.site_dataset import LATENESS_NS, PERIOD_NS, TinySite, boxes_at, tiny_site
 from wibam_core.geometry.box3d import corners
+from wibam_core.models.inference import prepare_image
+from wibam_core.models.small import INPUT_WIDTH_PX
+from wibam_core.models.trunk import INPUT_MULTIPLE
 from wibam_core.training.dataset import ImageCache, site_views
 
 
@@ -41,7 +44,7 @@ def test_other_views_are_those_of_the_same_vehicle(site: TinySite) -> None:
     names = list(site.rig)
     for vehicle, camera, box in zip(view.other_vehicle, view.other_camera, view.other_boxes, strict=True):
         native = site.instants[0].detections[names[camera]].boxes[vehicle]
-        np.testing.assert_allclose(box, (native + 0.5) * 0.8 - 0.5)
+        np.testing.assert_allclose(box, (native + 0.5) * (INPUT_WIDTH_PX / 640) - 0.5)
 
 
 def test_vehicles_of_another_subset_are_ignored_and_those_not_fitted_keep_their_2d_boxes(site: TinySite) -> None:
@@ -66,8 +69,12 @@ def test_images_are_prepared_once_and_padded(site: TinySite, tmp_path: Path) -> 
     views = site_views(site.instants, site.frames, site.lifts, site.rig)
     cache = ImageCache(tmp_path / "images.npy", views, site.frames)
     first = cache.view(5)
-    assert first.image.shape == (128, 512, 3)
-    np.testing.assert_array_equal(first.image, cache.view(5).image)
+    height = INPUT_WIDTH_PX // 4  # the cameras' shape
+    assert first.image.shape == (height + -height % INPUT_MULTIPLE, INPUT_WIDTH_PX, 3)
+    for number, view in enumerate(views):
+        prepared = prepare_image(site.frames.image(view.camera_id, view.time_ns))
+        for _ in range(2):  # decoded, then read back
+            np.testing.assert_array_equal(cache.view(number).image[: len(prepared)], prepared)
     box = np.rint(first.boxes2d[0]).astype(int)
     middle = first.image[(box[1] + box[3]) // 2, (box[0] + box[2]) // 2]
     assert middle[2] > 150  # vehicles are painted red

@@ -50,7 +50,7 @@ def assert_equal(one: FinetuneResult, two: FinetuneResult) -> None:
     assert one.kept_step == two.kept_step
 
 
-@pytest.mark.parametrize("method", ["lifted", "paper"])
+@pytest.mark.parametrize("method", ["lifted", "paper", "combined"])
 def test_resumes_equal_to_the_bit(site: TinySite, tmp_path: Path, method: str) -> None:
     config = options(method=method)
     whole = finetune(network(), dataset_of(site), config, silent, tmp_path / "whole")
@@ -74,9 +74,17 @@ def test_the_seed_decides(site: TinySite, tmp_path: Path) -> None:
     assert runs[0].epochs[0].train != runs[2].epochs[0].train
 
 
-@pytest.mark.parametrize("method", ["lifted", "paper"])
-def test_the_loss_falls(site: TinySite, tmp_path: Path, method: str) -> None:
-    config = options(steps=40, steps_per_epoch=10, method=method, learning_rate=5e-3)
+@pytest.mark.parametrize(
+    "chosen",
+    [
+        {"method": "lifted"},
+        {"method": "paper"},
+        {"method": "paper", "own_view": True, "box_heads": True},
+        {"method": "combined", "own_view": True},
+    ],
+)
+def test_the_loss_falls(site: TinySite, tmp_path: Path, chosen: dict[str, object]) -> None:
+    config = options(steps=40, steps_per_epoch=10, learning_rate=5e-3, **chosen)
     reports: list[float] = []
     result = finetune(network(), dataset_of(site), config, lambda f, m="", **k: reports.append(f), tmp_path)
     totals = [epoch.train["total"] for epoch in result.epochs]
@@ -95,11 +103,12 @@ def test_a_checkpoint_of_other_options_or_a_damaged_one_is_not_used(site: TinySi
     assert len(finetune(network(), dataset_of(site), options(steps=2), silent, tmp_path).epochs) == 1
 
 
-def test_a_loss_that_is_not_finite_names_the_frames(site: TinySite, tmp_path: Path) -> None:
+@pytest.mark.parametrize("method", ["lifted", "paper", "combined"])
+def test_a_loss_that_is_not_finite_names_the_frames(site: TinySite, tmp_path: Path, method: str) -> None:
     poisoned = network()
-    poisoned.heads["depth"].get_parameter("bias").data.fill_(float("nan"))
+    poisoned.heads["size"].get_parameter("bias").data.fill_(float("nan"))
     with pytest.raises(NonFiniteLoss) as caught:
-        finetune(poisoned, dataset_of(site), options(), silent, tmp_path)
+        finetune(poisoned, dataset_of(site), options(method=method), silent, tmp_path)
     assert caught.value.details["step"] == 0
     assert len(caught.value.details["frames"]) == 3
     assert any(camera in caught.value.message for camera in site.rig)

@@ -81,10 +81,37 @@ def test_equals_a_loop_over_vehicles_and_views(seed: int, dist: tuple[float, ...
     assert float(loss) == pytest.approx(loop_loss(boxes, pairs), abs=1e-6)
 
 
-def test_gradients_are_right() -> None:
-    boxes, _, views = scene(1)
+@pytest.mark.parametrize("dist", [(), (-0.15, 0.02, 0.001, -0.001, 0.0)])
+def test_gradients_are_right(dist: tuple[float, ...]) -> None:
+    boxes, _, views = scene(1, dist)
     leaf = torch.tensor(boxes, requires_grad=True)
     assert torch.autograd.gradcheck(lambda b: multiview_loss(b, views), (leaf,), eps=1e-6, atol=1e-5)
+
+
+def cut_by_the_border() -> tuple[torch.Tensor, OtherViews, Camera]:
+    """A vehicle that sticks out of an image on the left, and another that does on the right and below."""
+    cam = next(iter(corner_rig(4).values()))
+    at_border = [cam.rays(np.array(pixel)) for pixel in ((-0.5, 200.0), (639.5, 340.0))]
+    middles = [cam.centre_m + ray * (0.8 - cam.centre_m[2]) / ray[2] for ray in at_border]
+    boxes = np.array([[*middle[:2], 0.8, 4.5, 1.8, 1.6, 0.7] for middle in middles])
+    uv = np.stack([cam.project(corners(box))[0] for box in boxes])
+    given = np.clip(np.concatenate([uv.min(axis=1), uv.max(axis=1)], axis=1), -0.5, [639.5, 359.5, 639.5, 359.5])
+    both = torch.tensor([0, 1])
+    views = OtherViews(both, both * 0, torch.tensor(given), CameraTensors.from_cameras([cam], torch.float64))
+    return torch.tensor(boxes, requires_grad=True), views, cam
+
+
+def test_boxes_cut_by_the_border_fit_cut_reprojections() -> None:
+    boxes, views, cam = cut_by_the_border()
+    assert views.boxes[0, 0] == -0.5
+    assert views.boxes[1, 2:].tolist() == [639.5, 359.5]
+    assert multiview_loss(boxes, views).item() < 1e-9
+    longer = (boxes + torch.tensor([0.0, 0, 0, 1.0, 0, 0, 0])).detach().requires_grad_()
+    pairs = [(number, cam, views.boxes[number].numpy()) for number in range(2)]
+    loss = multiview_loss(longer, views)
+    assert loss.item() == pytest.approx(loop_loss(longer.detach().numpy(), pairs), abs=1e-6)
+    assert loss.item() > 0.01
+    assert torch.autograd.gradcheck(lambda b: multiview_loss(b, views), (longer,), eps=1e-6, atol=1e-5)
 
 
 def test_vehicles_with_perfect_boxes_cost_nothing() -> None:

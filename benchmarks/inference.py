@@ -1,0 +1,133 @@
+"""What detecting vehicles in images costs beside the network alone, in torch and in ONNX Runtime.
+
+Per way of running the small network: the time from images to boxes (resizing, network, decoding, duplicates) over the
+network's own on prepared input, both in CPU time on one thread; ONNX Runtime's over torch's; images per second. Images
+are simulated, of the size that the service stores. All are timed in turn, round by round; printed is the median of the
+rounds with its quartiles. Where there is a GPU, images per second there follow, by the clock.
+
+Run: python benchmarks/inference.py [--rounds 30] [--images 16] [--batch 8] [--weights FILE.safetensors]
+"""
+
+from __future__ import annotations
+
+import argparse
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+
+import cv2
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import Tensor
+
+from wibam_core.models.inference import Frame, RunnableNetwork, predict, prepare_image, to_input
+from wibam_core.models.onnx_network import OnnxNetwork
+from wibam_core.models.small import SmallNetwork
+from wibam_core.models.weights import bundled, load_network
+from wibam_core.synthetic.sampling import sample_views
+
+SIZE_PX = (960, 540)
+MIN_SCORE = 0.1
+SEED = 900_001
+
+
+@dataclass(frozen=True)
+class Way:
+    """A network, and the images as its input in batches, on its device and in the layout that it takes as it is."""
+
+    name: str
+    network: RunnableNetwork
+    inputs: list[Tensor]
+
+    def forward(self) -> None:
+        """The network alone over all images."""
+        with torch.inference_mode():
+            for batch in self.inputs:
+                self.network(batch)
+        if self.inputs[0].is_cuda:
+            torch.cuda.synchronize()
+
+
+def batches_of(frames: list[Frame], size: int, device: str, layout: torch.memory_format) -> list[Tensor]:
+    prepared = [prepare_image(frame.image) for frame in frames]
+    return [
+        to_input(np.stack(prepared[start : start + size]), device).contiguous(memory_format=layout)
+        for start in range(0, len(prepared), size)
+    ]
+
+
+def timed(work: Callable[[], object], clock: Callable[[], float]) -> float:
+    start = clock()
+    work()
+    return clock() - start
+
+
+def measure(
+    ways: list[Way], frames: list[Frame], batch: int, rounds: int, clock: Callable[[], float]
+) -> dict[str, dict[str, NDArray[np.float64]]]:
+    """Seconds (rounds,) of "forward" and "boxes" over all images, by way."""
+    taken: dict[str, dict[str, list[float]]] = {way.name: {"forward": [], "boxes": []} for way in ways}
+    for number in range(rounds + 2):
+        for way in ways:
+
+            def boxes(network: RunnableNetwork = way.network) -> None:
+                list(predict(network, frames, decode="plane", min_score=MIN_SCORE, batch_size=batch))
+
+            seconds = {"forward": timed(way.forward, clock), "boxes": timed(boxes, clock)}
+            if number >= 2:  # the first rounds warm up
+                for name, value in seconds.items():
+                    taken[way.name][name].append(value)
+    return {way: {name: np.array(values) for name, values in by.items()} for way, by in taken.items()}
+
+
+def spread(values: NDArray[np.float64]) -> str:
+    low, middle, high = np.percentile(values, [25, 50, 75])
+    return f"{middle:.3f} ({low:.3f} to {high:.3f})"
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--rounds", type=int, default=30)
+    parser.add_argument("--images", type=int, default=16)
+    parser.add_argument("--batch", type=int, default=8, help="images per pass")
+    parser.add_argument("--weights", type=Path, default=bundled("mono_small.safetensors"))
+    arguments = parser.parse_args()
+    torch.set_num_threads(1)
+    cv2.setNumThreads(1)
+    frames = [
+        Frame(view.image, view.camera, "camera", number)
+        for number, view in enumerate(sample_views(SEED, "site", arguments.images, SIZE_PX))
+    ]
+    network = load_network(arguments.weights)
+    channels_last = batches_of(frames, arguments.batch, "cpu", torch.channels_last)
+    contiguous = batches_of(frames, arguments.batch, "cpu", torch.contiguous_format)
+    ways = [Way("torch", network, channels_last), Way("ONNX Runtime", OnnxNetwork.of(network, 1), contiguous)]
+    taken = measure(ways, frames, arguments.batch, arguments.rounds, time.process_time)
+    found = sum(map(len, predict(ways[1].network, frames, decode="plane", min_score=MIN_SCORE)))
+    size = "x".join(map(str, SIZE_PX))
+    print(f"{len(frames)} images of {size} px, {found} vehicles found; 1 thread, batches of {arguments.batch}")
+    for way, seconds in taken.items():
+        print(
+            f"{way:<12}  images to boxes over the network alone: {spread(seconds['boxes'] / seconds['forward'])};"
+            f" images per CPU second: {spread(len(frames) / seconds['boxes'])}"
+        )
+    ratios = {name: spread(taken["ONNX Runtime"][name] / taken["torch"][name]) for name in ("forward", "boxes")}
+    print(f"ONNX Runtime over torch: the network alone {ratios['forward']}, images to boxes {ratios['boxes']}")
+    if torch.cuda.is_available():
+        _on_gpu(arguments.weights, frames, arguments.batch, arguments.rounds)
+
+
+def _on_gpu(weights: Path, frames: list[Frame], batch: int, rounds: int) -> None:
+    network: SmallNetwork = load_network(weights).cuda()
+    way = Way("GPU", network, batches_of(frames, batch, "cuda", torch.channels_last))
+    seconds = measure([way], frames, batch, rounds, time.perf_counter)["GPU"]
+    print(
+        f"GPU           images per second: {spread(len(frames) / seconds['boxes'])},"
+        f" the network alone {spread(len(frames) / seconds['forward'])}"
+    )
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,260 @@
+"""The rows of the learning benchmark as tables and figures."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+
+from benchmarks.learning_rows import Row, mean_of
+from wibam_core.evaluation.metrics import METRICS
+from wibam_core.report.results import PUBLISHED
+from wibam_core.report.style import (
+    BASELINE,
+    FINETUNED,
+    INK,
+    MUTED,
+    TRUTH,
+    camera_colour,
+    new_figure,
+    tidy,
+)
+
+#: Name in a row -> title, digits.
+COLUMNS = {
+    "bev_iou": ("BEV IoU", 3),
+    "iou_3d": ("3D IoU", 3),
+    "ate_m": ("ATE m", 3),
+    "ase": ("ASE", 3),
+    "aoe_deg": ("AOE °", 1),
+    "recall": ("recall", 3),
+    "precision": ("precision", 3),
+    "false_positives": ("false positives", 0),
+    "bev_iou_misses_zero": ("BEV IoU, misses as 0", 3),
+}
+_COLOURS = {"baseline_depth": MUTED, "baseline": BASELINE, "lifted": FINETUNED, "truth": TRUTH, "labels": INK}
+_SIGNIFICANT = 0.01
+
+
+def document(rows: Sequence[Row], command: str) -> str:
+    """Markdown: the command, what was chosen on, and all tables."""
+    sites = sorted({row["run"]["site"] for row in rows})
+    chosen = sorted({row["run"]["site"] for row in rows if row["chosen_on"]})
+    seconds = rows[0]["run"]["seconds"]
+    about = f"Sites: {', '.join(map(str, sites))}; {seconds:g} s each. Means of the runs ± their standard deviation."
+    used = (
+        f"Used to choose methods and options, so that their figures flatter: {', '.join(map(str, chosen))}."
+        if chosen
+        else "No site was used to choose methods or options."
+    )
+    parts = [
+        "# What fine-tuning gains",
+        f"{about} {used}",
+        f"    {command}",
+        table(rows),
+        *_titled(
+            "BEV IoU against the baseline: runs in which it differs significantly (p < 0.01, bootstrap over vehicles).",
+            verdicts(rows),
+        ),
+        *_titled(
+            "Relative to the same training on true boxes, run by run. Share of the gain: (method − baseline) / "
+            "(truth − baseline) in BEV IoU with misses as 0.",
+            ratios(rows),
+        ),
+        *_titled("By distance from the camera: BEV IoU of the matched / recall.", by_distance(rows)),
+        "![metrics](learning.png)",
+        "![by distance](learning-distance.png)",
+    ]
+    return "\n\n".join(parts) + "\n"
+
+
+def methods_of(rows: Sequence[Row]) -> list[str]:
+    """In the order of the rows."""
+    return list(dict.fromkeys(row["run"]["method"] for row in rows))
+
+
+def table(rows: Sequence[Row]) -> str:
+    """Means over sites and seeds, and the standard deviation of those means."""
+    lines = _head("method", "decode", "runs", *(title for title, _ in COLUMNS.values()))
+    for method in methods_of(rows):
+        mine = [row for row in rows if row["run"]["method"] == method]
+        cells = [_cell([mean_of(row, name) for row in mine], digits) for name, (_, digits) in COLUMNS.items()]
+        lines.append(_line(method, mine[0]["decode"], len(mine), *cells))
+    return "\n".join(lines)
+
+
+def verdicts(rows: Sequence[Row]) -> str:
+    """How often each method is better or worse than the baseline by more than chance; empty without other methods."""
+    lines = _head("method", "runs", "better", "worse", "chance")
+    for method in methods_of(rows):
+        tests = [
+            row["significance"]["bev_iou"]
+            for row in rows
+            if row["run"]["method"] == method and method != "baseline" and row.get("significance")
+        ]
+        if tests:
+            real = [t["difference"] for t in tests if t["p_bootstrap"] is not None and t["p_bootstrap"] < _SIGNIFICANT]
+            better = sum(difference > 0 for difference in real)
+            lines.append(_line(method, len(tests), better, len(real) - better, len(tests) - len(real)))
+    return "\n".join(lines) if len(lines) > 2 else ""
+
+
+def ratios(rows: Sequence[Row]) -> str:
+    """Figures relative to those of ``truth`` at the same site and seed; empty without."""
+    truth = {_place(row): row for row in rows if row["run"]["method"] == "truth"}
+    baseline = {_place(row): row for row in rows if row["run"]["method"] == "baseline"}
+    shown = ("bev_iou", "iou_3d", "ate_m", "bev_iou_misses_zero")
+    lines = _head("method", *(f"{COLUMNS[name][0]} / truth's" for name in shown), "share of the gain")
+    for method in methods_of(rows):
+        mine = [row for row in rows if row["run"]["method"] == method and _place(row) in truth]
+        if not mine or method == "truth":
+            continue
+        cells = [_cell([_ratio(row, truth[_place(row)], name) for row in mine], 2) for name in shown]
+        gains = [
+            share_of_gain(row, baseline[_place(row)], truth[_place(row)]) for row in mine if _place(row) in baseline
+        ]
+        lines.append(_line(method, *cells, _cell(gains, 2)))
+    return "\n".join(lines) if len(lines) > 2 else ""
+
+
+def share_of_gain(row: Row, start: Row, goal: Row, name: str = "bev_iou_misses_zero") -> float | None:
+    """How far a figure got on the way from ``start`` to ``goal``; None where there is no way to go."""
+    here, first, last = (mean_of(one, name) for one in (row, start, goal))
+    if here is None or first is None or last is None or last == first:
+        return None
+    return (here - first) / (last - first)
+
+
+def by_distance(rows: Sequence[Row]) -> str:
+    """BEV IoU and recall by distance; empty where no row has parts."""
+    edges = _distance_edges(rows)
+    lines = _head("method", *(f"{low:g}–{high:g} m" for low, high in edges))
+    for method in methods_of(rows):
+        cells = [
+            f"{_cell(_of_bin(rows, method, edge, 'bev_iou'), 2)} / {_cell(_of_bin(rows, method, edge, 'recall'), 2)}"
+            for edge in edges
+        ]
+        if any(cell != "– / –" for cell in cells):
+            lines.append(_line(method, *cells))
+    return "\n".join(lines) if len(lines) > 2 else ""
+
+
+def draw(rows: Sequence[Row], folder: Path) -> None:
+    """Write ``learning.png`` and ``learning-distance.png``."""
+    save(metrics_figure(rows), folder / "learning.png")
+    save(distance_figure(rows), folder / "learning-distance.png")
+
+
+def save(figure: Figure, path: Path) -> None:
+    """As PNG."""
+    path.parent.mkdir(parents=True, exist_ok=True)
+    figure.savefig(path, dpi=150)
+
+
+def metrics_figure(rows: Sequence[Row]) -> Figure:
+    """Bars of the methods in each metric, with the published figures before and after as lines."""
+    figure = new_figure(11.0, 3.6)
+    panels = figure.subplots(1, len(METRICS))
+    for axes, name in zip(panels, METRICS, strict=True):
+        for at, method in enumerate(methods_of(rows)):
+            values = _known([mean_of(row, name) for row in rows if row["run"]["method"] == method])
+            if values:
+                spread = np.std(values, ddof=1) if len(values) > 1 else None
+                error = {"ecolor": INK, "capsize": 2}
+                axes.bar(
+                    at, np.mean(values), 0.8, yerr=spread, color=colour_of(rows, method), error_kw=error, label=method
+                )
+        before, after = PUBLISHED[name]
+        _level(axes, before.mean, ":", "the paper, before (its own set)")
+        _level(axes, after.mean, "--", "the paper, after (its own set)")
+        better = "higher" if name in ("bev_iou", "iou_3d") else "lower"
+        tidy(axes, title=COLUMNS[name][0], x=f"{better} is better")
+        axes.set_xticks([])
+    handles, labels = panels[0].get_legend_handles_labels()
+    figure.legend(handles, labels, loc="outside lower center", ncols=4, fontsize=8.5, frameon=False)
+    return figure
+
+
+def distance_figure(rows: Sequence[Row]) -> Figure:
+    """BEV IoU, ATE and recall of the methods by distance from the camera."""
+    figure = new_figure(11.0, 3.4)
+    edges = _distance_edges(rows)
+    places = [(low + high) / 2 for low, high in edges]
+    for axes, (name, title) in zip(
+        figure.subplots(1, 3),
+        (("bev_iou", "BEV IoU (matched)"), ("ate_m", "ATE (m, matched)"), ("recall", "recall")),
+        strict=True,
+    ):
+        for method in methods_of(rows):
+            means = [_known(_of_bin(rows, method, edge, name)) for edge in edges]
+            known = [(place, np.mean(values)) for place, values in zip(places, means, strict=True) if values]
+            if known:
+                axes.plot(*zip(*known, strict=True), "o-", color=colour_of(rows, method), markersize=4, label=method)
+        tidy(axes, title=title, x="distance (m)")
+        axes.set_ylim(0, None if name == "ate_m" else 1)
+    handles, labels = figure.axes[0].get_legend_handles_labels()
+    figure.legend(handles, labels, loc="outside lower center", ncols=6, fontsize=8.5, frameon=False)
+    return figure
+
+
+def colour_of(rows: Sequence[Row], method: str) -> str:
+    """The same in every figure of these rows."""
+    others = [one for one in methods_of(rows) if one not in _COLOURS]
+    return _COLOURS[method] if method in _COLOURS else camera_colour(2 + others.index(method))
+
+
+def _titled(title: str, rows: str) -> tuple[str, ...]:
+    return (title, rows) if rows else ()
+
+
+def _level(axes: Axes, value: float | None, dashes: str, label: str) -> None:
+    if value is not None:
+        axes.axhline(value, color=MUTED, linestyle=dashes, linewidth=1.2, label=label)
+
+
+def _place(row: Row) -> tuple[Any, Any]:
+    return row["run"]["site"], row["run"]["seed"]
+
+
+def _ratio(row: Row, other: Row, name: str) -> float | None:
+    mine, theirs = mean_of(row, name), mean_of(other, name)
+    return mine / theirs if mine is not None and theirs else None
+
+
+def _distance_edges(rows: Sequence[Row]) -> list[tuple[float, float]]:
+    parts = [part for row in rows for part in row.get("by_distance", ()) if part["high"] is not None]
+    return sorted({(part["low"], part["high"]) for part in parts})
+
+
+def _of_bin(rows: Sequence[Row], method: str, edge: tuple[float, float], name: str) -> list[float | None]:
+    return [
+        mean_of(part, name)
+        for row in rows
+        if row["run"]["method"] == method
+        for part in row.get("by_distance", ())
+        if (part["low"], part["high"]) == edge
+    ]
+
+
+def _known(values: Sequence[float | None]) -> list[float]:
+    return [value for value in values if value is not None]
+
+
+def _cell(values: Sequence[float | None], digits: int) -> str:
+    known = _known(values)
+    if not known:
+        return "–"
+    spread = f" ± {np.std(known, ddof=1):.{digits}f}" if len(known) > 1 else ""
+    return f"{np.mean(known):.{digits}f}{spread}"
+
+
+def _head(*titles: str) -> list[str]:
+    return [_line(*titles), "|" + "---|" * len(titles)]
+
+
+def _line(*cells: object) -> str:
+    return f"| {' | '.join(map(str, cells))} |"

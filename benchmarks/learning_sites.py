@@ -1,0 +1,230 @@
+"""Simulated sites for the benchmarks of learning, networks trained on them, and how good those are."""
+
+from __future__ import annotations
+
+import json
+import tempfile
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from wibam_core.config import EvaluateConfig, FinetuneConfig, PipelineConfig
+from wibam_core.dataset.split import Split
+from wibam_core.evaluation.evaluate import Evaluation, Mode, evaluate
+from wibam_core.evaluation.labels_at import LabelTimeline
+from wibam_core.evaluation.matching import assign, match_on_ground
+from wibam_core.evaluation.metrics import METRICS, compare
+from wibam_core.evaluation.reliability import reliability
+from wibam_core.evaluation.significance import significance
+from wibam_core.evaluation.summary import by_class, by_distance, by_elevation, mean_sd, summarise
+from wibam_core.evaluation.uncertainty import SdFactors
+from wibam_core.formats.annotations import read_annotations
+from wibam_core.formats.framestore import FrameStore
+from wibam_core.formats.labels import read_labels
+from wibam_core.formats.rig import read_rig
+from wibam_core.formats.vehicles3d import read_vehicles3d
+from wibam_core.models.decode import Decode
+from wibam_core.models.inference import predict
+from wibam_core.models.small import SmallNetwork
+from wibam_core.models.stored_frames import stored_frames
+from wibam_core.models.weights import bundled, load_network
+from wibam_core.progress import silent
+from wibam_core.scene import AnnotatedInstant, CameraRig, FrameSet, Vehicles3D
+from wibam_core.stages.runner import SiteFolder, run_pipeline
+from wibam_core.stages.store import StageStore
+from wibam_core.synthetic.options import SimulationOptions
+from wibam_core.synthetic.recorder import record_site
+from wibam_core.training.calibration import sd_factors
+from wibam_core.training.dataset import SiteView, site_views
+from wibam_core.training.finetune import SiteDataset, finetune
+
+#: Sites that were looked at while methods and options were chosen: their figures flatter what was chosen.
+CHOSEN_ON = frozenset({11, 12, 21, 22})
+#: A true vehicle farther than this from a cluster of rays is another one, m.
+_SAME_VEHICLE_M = 3.0
+
+Figures = dict[str, Any]
+
+
+@dataclass(frozen=True, eq=False)
+class Trained:
+    """A network, how its boxes are placed, and what its standard deviations are multiplied with."""
+
+    network: SmallNetwork
+    decode: Decode
+    factors: SdFactors
+
+
+@dataclass(frozen=True, eq=False)
+class Site:
+    """A recorded site after the stages before fine-tuning.
+
+    Attributes:
+        number: seed of the simulation.
+        stages: name -> published folder of the stages that were run.
+        lifts: of the instants of the split.
+        labels: the truth, by time.
+    """
+
+    number: int
+    folder: SiteFolder
+    store: StageStore
+    stages: Mapping[str, Path]
+    rig: CameraRig
+    frames: FrameStore
+    instants: list[AnnotatedInstant]
+    lifts: list[Vehicles3D]
+    split: Split
+    labels: LabelTimeline
+
+    @property
+    def minutes(self) -> float:
+        """Length of the training part."""
+        times = self.split.times_ns["train"]
+        return (times[-1] - times[0]) * 1e-9 / 60
+
+    @cached_property
+    def test_frames(self) -> list[FrameSet]:
+        times = set(self.split.times_ns["test"])
+        return [instant for instant in self.frames.frame_sets if instant.time_ns in times]
+
+    @cached_property
+    def baseline(self) -> Evaluation:
+        """Of the bundled network on the ground plane, on the test part."""
+        return evaluation(self, detections(self, bundled_network("plane")))
+
+    def of(self, part: str) -> list[AnnotatedInstant]:
+        """The instants of a part of the split."""
+        times = set(self.split.times_ns[part])
+        return [instant for instant in self.instants if instant.time_ns in times]
+
+
+def make_site(number: int, seconds: float, density: float, cache: Path) -> Site:
+    """Record, or take what was recorded before, and run the stages up to the fits."""
+    folder = cache / f"site-{number}-{seconds:g}s-{density:g}"
+    if not (folder / "site.json").is_file():
+        options = SimulationOptions(seed=number, seconds=seconds, traffic_density=density, workers=2)
+        record_site(folder, options)
+    site, store = SiteFolder.load(folder), StageStore(folder / "outputs")
+    return site_of(number, site, store, run_pipeline(site, store, PipelineConfig(), until="lift").folders)
+
+
+def site_of(number: int, folder: SiteFolder, store: StageStore, stages: Mapping[str, Path]) -> Site:
+    """Read what the stages up to the fits wrote."""
+    return Site(
+        number,
+        folder,
+        store,
+        stages,
+        read_rig(stages["calibrate"] / "rig.json"),
+        FrameStore(stages["frames"]),
+        read_annotations(stages["associate"] / "annotations.parquet"),
+        read_vehicles3d(stages["lift"] / "lifts.parquet"),
+        Split.from_json(json.loads((stages["dataset"] / "split.json").read_text())),
+        LabelTimeline(read_labels(folder.assets["labels"])),
+    )
+
+
+def bundled_network(decode: Decode) -> Trained:
+    """What fine-tuning starts from."""
+    return Trained(load_network(bundled("mono_small.safetensors")), decode, SdFactors())
+
+
+def finetuned_by_stage(site: Site, options: Mapping[str, Any]) -> Trained:
+    """Fine-tuned as a job does it; taken from the store where that was done before."""
+    config = PipelineConfig.parse({"finetune": dict(options)})
+    done = run_pipeline(site.folder, site.store, config, until="finetune").folders["finetune"]
+    curves = json.loads((done / "curves.json").read_text())
+    network = load_network(done / "weights.safetensors")
+    return Trained(network, config.finetune.decode, SdFactors(**curves["sd_factors"]))
+
+
+def finetuned_on(
+    site: Site, train: Sequence[SiteView], validation: Sequence[SiteView], config: FinetuneConfig
+) -> Trained:
+    """Fine-tuned from the bundled network on other views or labels than a job would take."""
+    data = SiteDataset(site.frames, site.rig, train, validation)
+    with tempfile.TemporaryDirectory() as scratch:
+        base = bundled_network(config.decode).network
+        network = finetune(base, data, config, silent, Path(scratch)).network
+    assert isinstance(network, SmallNetwork)
+    return Trained(network, config.decode, sd_factors(network, data, config.decode))
+
+
+def views(site: Site, part: str, lifts: Sequence[Vehicles3D]) -> list[SiteView]:
+    """The frames of a part of the split, labelled with ``lifts``."""
+    return site_views(site.of(part), site.frames, lifts, site.rig, site.split.left_out_tracks[part])
+
+
+def true_lifts(site: Site) -> list[Vehicles3D]:
+    """The true boxes of the associated vehicles, with their track ids, where a fit would be."""
+    found = []
+    for instant in site.instants:
+        labelled = site.labels.at(instant.time_ns)
+        vehicles = [vehicle for vehicle in instant.vehicles if vehicle.track_id >= 0]
+        if labelled is None or not vehicles or not len(labelled.vehicles):
+            continue
+        places = np.array([(vehicle.x_m, vehicle.y_m) for vehicle in vehicles])
+        distance = np.linalg.norm(places[:, None] - labelled.vehicles.boxes[None, :, :2], axis=-1)
+        rows, columns = assign(distance, _SAME_VEHICLE_M)
+        ids = np.array([vehicles[row].track_id for row in rows], np.int64)
+        truth = labelled.vehicles
+        certain = np.full((len(rows), 7), 0.01)
+        found.append(
+            Vehicles3D.of(
+                instant.time_ns, truth.boxes[columns], truth.classes[columns], ids, np.ones(len(ids)), certain
+            )
+        )
+    return found
+
+
+def detections(site: Site, trained: Trained) -> list[Vehicles3D]:
+    """Of all frames of the test part; times are the instants."""
+    frames = stored_frames(site.frames, site.test_frames, site.rig)
+    found = predict(trained.network, frames, decode=trained.decode, min_score=EvaluateConfig().min_score)
+    return [trained.factors.apply(vehicles) for vehicles in found]
+
+
+def evaluation(site: Site, found: Sequence[Vehicles3D], mode: Mode = "correct") -> Evaluation:
+    """Detections of the test part against the truth, each frame at its own time of exposure."""
+    exposed = {(i.time_ns, camera): time for i in site.test_frames for camera, time in i.frame_times_ns.items()}
+    at_exposure = [replace(v, time_ns=exposed[v.time_ns, str(v.camera_id)]) for v in found]
+    return evaluate(at_exposure, site.labels, site.rig, EvaluateConfig(), mode)
+
+
+def figures(site: Site, trained: Trained) -> Figures:
+    """All that a row says of a network: metrics, parts, significance against the baseline, reliability."""
+    found = detections(site, trained)
+    correct, published = evaluation(site, found), evaluation(site, found, "paper_compat")
+    kinds = reliability(correct.errors, correct.sd)
+    return {
+        **summarise(correct),
+        "paper_compat": {name: value for name, value in summarise(published).items() if name in METRICS},
+        "by_distance": by_distance(correct),
+        "by_elevation": by_elevation(correct),
+        "by_class": by_class(correct),
+        "significance": significance(site.baseline, correct),
+        "sd_factors": vars(trained.factors),
+        "reliability": {
+            kind: {name: of.get(name) for name in ("scale_factor", "calibration_error")} for kind, of in kinds.items()
+        },
+    }
+
+
+def label_figures(site: Site) -> Figures:
+    """The metrics of the fits in the training part, of those that are a true vehicle."""
+    times = set(site.split.times_ns["train"])
+    ours, theirs = [np.empty((0, 7))], [np.empty((0, 7))]
+    for vehicles in site.lifts:
+        labelled = site.labels.at(vehicles.time_ns)
+        if vehicles.time_ns in times and labelled is not None:
+            truth = labelled.vehicles.boxes
+            match = match_on_ground(truth, np.ones(len(truth), bool), vehicles.boxes, EvaluateConfig().match_distance_m)
+            ours.append(vehicles.boxes[match.detections])
+            theirs.append(truth[match.labels])
+    metrics = compare(np.concatenate(ours), np.concatenate(theirs))
+    return {name: mean_sd(getattr(metrics, name)) for name in METRICS} | {"matched": sum(map(len, ours))}

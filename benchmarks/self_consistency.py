@@ -1,0 +1,284 @@
+"""How well measures that need no label tell the true error.
+
+Networks of varied quality (before fine-tuning, after few and many steps, taught by few frames, by the published loss)
+on several sites. For each, and for each vehicle of the test part, what self-consistency says is compared with the
+truth: the image IoU of boxes in the views that they were not predicted in, and their roughness (how far they lie beside
+the straight line between the boxes before and after), against BEV IoU and ATE. Prints the correlations.
+Writes ``self-consistency.json`` (a killed run goes on where it was), ``self-consistency.md`` and ``.png``.
+
+Run: python -m benchmarks.self_consistency --sites 11 12 21 22 --seconds 90 --out docs
+"""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from matplotlib.figure import Figure
+from scipy import stats
+
+from benchmarks.learning_report import save
+from benchmarks.learning_rows import Row, RowFile, Run, mean_of
+from benchmarks.learning_sites import (
+    CHOSEN_ON,
+    Figures,
+    Site,
+    Trained,
+    bundled_network,
+    detections,
+    evaluation,
+    finetuned_on,
+    make_site,
+    views,
+)
+from wibam_core.config import EvaluateConfig, FinetuneConfig
+from wibam_core.evaluation.matching import match_on_ground
+from wibam_core.evaluation.metrics import METRICS, compare
+from wibam_core.evaluation.self_consistency import Agreement, agreements, roughness, self_consistency
+from wibam_core.evaluation.summary import summarise
+from wibam_core.models.decode import Decode
+from wibam_core.report.style import camera_colour, new_figure, tidy
+from wibam_core.scene import Vehicles3D
+
+#: What needs no label -> title.
+MEASURES = {"other_views": "IoU in other views", "roughness_m": "roughness (m)"}
+#: The truth of a network -> title; that of a vehicle is the first two.
+TRUTHS = {"bev_iou": "BEV IoU", "ate_m": "ATE (m)", "bev_iou_misses_zero": "BEV IoU, misses as 0"}
+OF_VEHICLE = ("bev_iou", "ate_m")
+#: A vehicle needs so many compared boxes.
+_MIN_SIGHTINGS = 4
+_Key = tuple[int, str, int]
+
+
+@dataclass(frozen=True)
+class Recipe:
+    """How a network is made: ``steps`` of fine-tuning on so many frames (None: all); 0 steps are the bundled one."""
+
+    steps: int = 0
+    method: str = "lifted"
+    decode: Decode = "plane"
+    frames: int | None = None
+
+
+RECIPES = {
+    "baseline": Recipe(),
+    "baseline_depth": Recipe(decode="depth"),
+    "lifted_20": Recipe(20),
+    "lifted_60": Recipe(60),
+    "lifted_150": Recipe(150),
+    "lifted_350": Recipe(350),
+    "lifted_8_frames": Recipe(100, frames=8),
+    "lifted_40_frames": Recipe(100, frames=40),
+    "paper_200": Recipe(200, method="paper"),
+}
+
+
+def made_by(site: Site, recipe: Recipe) -> Trained:
+    """The network of a recipe."""
+    if not recipe.steps:
+        return bundled_network(recipe.decode)
+    train, validation = (views(site, part, site.lifts) for part in ("train", "val"))
+    if recipe.frames is not None:
+        train = train[:: max(1, len(train) // recipe.frames)][: recipe.frames]
+    options: dict[str, Any] = {"steps": recipe.steps, "method": recipe.method, "decode": recipe.decode}
+    return finetuned_on(site, train, validation, FinetuneConfig(**options))
+
+
+def row(site: Site, recipe: Recipe) -> Figures:
+    """Both sides of one network: of its test part as a whole, and of each vehicle in it."""
+    found = detections(site, made_by(site, recipe))
+    consistency = self_consistency(found, site.of("test"), site.rig)
+    truth = summarise(evaluation(site, found))
+    return {
+        "chosen_on": site.number in CHOSEN_ON,
+        **{name: consistency[name] for name in (*MEASURES, "own_view", "found")},
+        **{name: truth[name] for name in (*METRICS, "recall", "bev_iou_misses_zero")},
+        "vehicles": of_vehicles(site, found),
+    }
+
+
+def of_vehicles(site: Site, found: Sequence[Vehicles3D]) -> list[dict[str, float]]:
+    """Both sides of every vehicle with enough boxes: means over its boxes in all views."""
+    truth = _true_figures(site, found)
+    tracks: dict[int, list[Agreement]] = {}
+    for one in agreements(found, site.of("test"), site.rig)[0]:
+        if one.track_id >= 0 and (one.time_ns, one.camera_id, one.row) in truth:
+            tracks.setdefault(one.track_id, []).append(one)
+    result = []
+    for track_id, boxes in tracks.items():
+        rough = roughness(boxes)
+        if len(boxes) < _MIN_SIGHTINGS or not len(rough):
+            continue
+        true = np.array([truth[one.time_ns, one.camera_id, one.row] for one in boxes])
+        others = [iou for one in boxes for iou in one.other_ious]
+        result.append(
+            {
+                "track": track_id,
+                "boxes": len(boxes),
+                "other_views": float(np.mean(others)),
+                "roughness_m": float(rough.mean()),
+                **dict(zip(OF_VEHICLE, true.mean(axis=0).tolist(), strict=True)),
+            }
+        )
+    return result
+
+
+def _true_figures(site: Site, found: Sequence[Vehicles3D]) -> dict[_Key, tuple[float, float]]:
+    """(instant, camera, row) -> BEV IoU and ATE of every detection that is a true vehicle."""
+    exposed = {(i.time_ns, camera): time for i in site.test_frames for camera, time in i.frame_times_ns.items()}
+    result: dict[_Key, tuple[float, float]] = {}
+    for vehicles in found:
+        camera_id = str(vehicles.camera_id)
+        labelled = site.labels.at(exposed[vehicles.time_ns, camera_id])
+        if labelled is None:
+            continue
+        truth = labelled.vehicles.boxes
+        match = match_on_ground(truth, np.ones(len(truth), bool), vehicles.boxes, EvaluateConfig().match_distance_m)
+        metrics = compare(vehicles.boxes[match.detections], truth[match.labels])
+        for number, detection in enumerate(match.detections.tolist()):
+            key = (vehicles.time_ns, camera_id, detection)
+            result[key] = (float(metrics.bev_iou[number]), float(metrics.ate_m[number]))
+    return result
+
+
+@dataclass(frozen=True)
+class Correlation:
+    """Of n pairs; NaN below three or where one side never changes."""
+
+    pearson: float
+    spearman: float
+    n: int
+
+    def __str__(self) -> str:
+        return "–" if np.isnan(self.spearman) else f"{self.spearman:.2f} / {self.pearson:.2f} ({self.n})"
+
+    @classmethod
+    def of(cls, pairs: Sequence[tuple[float | None, float | None]]) -> Correlation:
+        known = np.array([pair for pair in pairs if None not in pair], dtype=np.float64).reshape(-1, 2)
+        if len(known) < 3 or (np.ptp(known, axis=0) == 0).any():
+            return cls(np.nan, np.nan, len(known))
+        return cls(float(stats.pearsonr(*known.T)[0]), float(stats.spearmanr(*known.T)[0]), len(known))
+
+
+def among_networks(rows: Sequence[Row], measure: str, truth: str) -> Correlation:
+    """Over all networks of all sites."""
+    return Correlation.of([(mean_of(row, measure), mean_of(row, truth)) for row in rows])
+
+
+def within_groups(groups: Sequence[Sequence[Row]], measure: str, truth: str) -> Correlation:
+    """Mean of the correlations in each group; n counts the groups that have one."""
+    found = [among_networks(group, measure, truth) for group in groups]
+    known = [one for one in found if np.isfinite(one.spearman)]
+    if not known:
+        return Correlation(np.nan, np.nan, 0)
+    return Correlation(
+        float(np.mean([one.pearson for one in known])), float(np.mean([one.spearman for one in known])), len(known)
+    )
+
+
+def same_site(rows: Sequence[Row]) -> list[list[Row]]:
+    """The rows of each site."""
+    return [[row for row in rows if row["run"]["site"] == site] for site in sorted({r["run"]["site"] for r in rows})]
+
+
+def document(rows: Sequence[Row], command: str) -> str:
+    """Markdown: correlations, and the networks that they rest on."""
+    heads = ("measure", "truth", "all networks", "networks of one site", "vehicles of one network", "all vehicles")
+    lines = [f"| {' | '.join(heads)} |", "|" + "---|" * len(heads)]
+    vehicles = [row["vehicles"] for row in rows]
+    everyone = [one for of in vehicles for one in of]
+    for measure, measured in MEASURES.items():
+        for truth, title in TRUTHS.items():
+            cells = [among_networks(rows, measure, truth), within_groups(same_site(rows), measure, truth)]
+            if truth in OF_VEHICLE:
+                cells += [within_groups(vehicles, measure, truth), among_networks(everyone, measure, truth)]
+            shown = [str(one) for one in cells] + ["–"] * (4 - len(cells))
+            lines.append(f"| {measured} | {title} | {' | '.join(shown)} |")
+    columns = ("site", "network", *MEASURES.values(), *TRUTHS.values(), "vehicles")
+    table = [f"| {' | '.join(columns)} |", "|" + "---|" * len(columns)]
+    for row in rows:
+        values = [mean_of(row, name) for name in (*MEASURES, *TRUTHS)]
+        shown = ["–" if value is None else f"{value:.3f}" for value in values]
+        table.append(
+            f"| {row['run']['site']} | {row['run']['network']} | {' | '.join(shown)} | {len(row['vehicles'])} |"
+        )
+    about = (
+        "Spearman's / Pearson's correlation (number of pairs; of one site or network: mean over so many). IoU in "
+        "other views should rise with BEV IoU and fall with ATE, roughness the other way round."
+    )
+    parts = ("# Does self-consistency tell the true error?", about, f"    {command}", "\n".join(lines))
+    return "\n\n".join((*parts, "\n".join(table), "![networks and vehicles](self-consistency.png)\n"))
+
+
+def scatter_figure(rows: Sequence[Row]) -> Figure:
+    """Above the networks, below their vehicles: each measure against BEV IoU and ATE; a colour for each site."""
+    figure = new_figure(11.0, 5.6)
+    panels = figure.subplots(2, len(MEASURES) * len(OF_VEHICLE))
+    pairs = [(measure, truth) for measure in MEASURES for truth in OF_VEHICLE]
+    for column, (measure, truth) in enumerate(pairs):
+        for number, of_site in enumerate(same_site(rows)):
+            colour, label = camera_colour(number), f"site {of_site[0]['run']['site']}"
+            points = [(mean_of(row, measure), mean_of(row, truth)) for row in of_site]
+            panels[0, column].plot(*_known(points), "o", color=colour, markersize=5, label=label)
+            points = [(one[measure], one[truth]) for row in of_site for one in row["vehicles"]]
+            panels[1, column].plot(*_known(points), ".", color=colour, markersize=3, alpha=0.35)
+        for axes, title in ((panels[0, column], "networks"), (panels[1, column], "vehicles")):
+            tidy(axes, title=title, x=MEASURES[measure], y=TRUTHS[truth], grid="both")
+    handles, labels = panels[0, 0].get_legend_handles_labels()
+    figure.legend(handles, labels, loc="outside lower center", ncols=8, fontsize=8.5, frameon=False)
+    return figure
+
+
+def _known(points: Sequence[tuple[float | None, float | None]]) -> tuple[list[float], list[float]]:
+    known = [(x, y) for x, y in points if x is not None and y is not None]
+    return [x for x, _ in known], [y for _, y in known]
+
+
+def runs_of(arguments: argparse.Namespace) -> Iterator[Run]:
+    """One run a site and network."""
+    for number in arguments.sites:
+        for name in arguments.networks:
+            recipe = replace(RECIPES[name], steps=min(RECIPES[name].steps, arguments.most_steps))
+            about = {"site": number, "network": name, "seconds": arguments.seconds, "density": arguments.density}
+            yield {**about, "recipe": vars(recipe)}
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--sites", type=int, nargs="+", default=[11, 12, 21, 22])
+    parser.add_argument("--networks", nargs="+", choices=RECIPES, default=list(RECIPES))
+    parser.add_argument("--most-steps", type=int, default=350, help="no network is trained for longer")
+    parser.add_argument("--seconds", type=float, default=90.0)
+    parser.add_argument("--density", type=float, default=1.2)
+    parser.add_argument("--fresh", action="store_true", help="forget the rows that were made before")
+    parser.add_argument("--cache", type=Path, default=Path("build/learning"))
+    parser.add_argument("--out", type=Path, default=Path("build/learning"))
+    arguments = parser.parse_args()
+
+    @cache
+    def site_of(number: int) -> Site:
+        return make_site(number, arguments.seconds, arguments.density, arguments.cache)
+
+    file = RowFile(arguments.out / "self-consistency.json", fresh=arguments.fresh)
+    rows: list[Row] = []
+    for made in file.rows(runs_of(arguments), lambda run: row(site_of(run["site"]), Recipe(**run["recipe"]))):
+        rows.append(made)
+        print({**made["run"], **{name: mean_of(made, name) for name in (*MEASURES, *TRUTHS)}}, flush=True)
+    command = (
+        f"python -m benchmarks.self_consistency --sites {' '.join(map(str, arguments.sites))} "
+        f"--networks {' '.join(arguments.networks)} --most-steps {arguments.most_steps} "
+        f"--seconds {arguments.seconds:g} --density {arguments.density:g}"
+    )
+    text = document(rows, command)
+    (arguments.out / "self-consistency.md").write_text(text, encoding="utf-8")
+    save(scatter_figure(rows), arguments.out / "self-consistency.png")
+    print(text)
+
+
+if __name__ == "__main__":
+    main()

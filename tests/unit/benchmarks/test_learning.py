@@ -1,0 +1,168 @@
+"""What the benchmarks of learning make of their rows; nothing is recorded or trained here."""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from benchmarks import data_amount, learning
+from benchmarks.learning_report import by_distance, document, draw, ratios, table, verdicts
+from benchmarks.learning_rows import RowFile, Run, mean_of
+from wibam_core.config import FinetuneConfig
+
+
+def arguments(**changed: Any) -> argparse.Namespace:
+    options = {"sites": [11, 31], "seeds": [0, 1], "methods": ["baseline", "lifted"], "steps": 5, "seconds": 9.0}
+    return argparse.Namespace(**{**options, "density": 1.0, "shares": [0.5, 1.0], **changed})
+
+
+def figures(bev: float, difference: float = 0.1) -> dict[str, Any]:
+    spread = {"mean": bev, "sd": 0.1}
+    test = {"difference": difference, "p_bootstrap": 0.001}
+    names = ("iou_3d", "ate_m", "ase", "aoe_deg", "recall", "bev_iou_misses_zero")
+    parts = [
+        {"low": 0.0, "high": 10.0, "bev_iou": spread, "ate_m": spread, "recall": 0.9},
+        {"low": 50.0, "high": None, "bev_iou": spread, "ate_m": spread, "recall": 0.1},
+    ]
+    return {
+        "chosen_on": False,
+        "decode": "plane",
+        "bev_iou": spread,
+        **dict.fromkeys(names, spread),
+        "precision": 0.9,
+        "false_positives": 7,
+        "significance": {"bev_iou": test},
+        "by_distance": parts,
+    }
+
+
+def rows() -> list[dict[str, Any]]:
+    of = {"baseline": 0.4, "lifted": 0.6, "truth": 0.8}
+    return [
+        {"run": {"site": site, "seed": 0, "method": method, "seconds": 90.0}, **figures(bev + site / 100)}
+        for site in (1, 2)
+        for method, bev in of.items()
+    ]
+
+
+def test_rows_are_computed_once(tmp_path: Path) -> None:
+    computed = []
+
+    def compute(run: Run) -> dict[str, Any]:
+        computed.append(run["site"])
+        return {"value": run["site"]}
+
+    def rows_of(limit: int, *, fresh: bool = False, **more: Any) -> list[dict[str, Any]]:
+        runs = [{"site": k, "options": (1, 2), **more} for k in range(limit)]
+        return list(RowFile(tmp_path / "rows.json", fresh=fresh).rows(runs, compute))
+
+    first = rows_of(2)
+    again = rows_of(3)
+    assert computed == [0, 1, 2]
+    assert again[:2] == first
+    rows_of(1, steps=9)  # other options
+    rows_of(1, fresh=True)
+    assert computed == [0, 1, 2, 0, 0]
+
+
+def test_a_killed_run_keeps_what_it_made(tmp_path: Path) -> None:
+    def compute(run: Run) -> dict[str, Any]:
+        if run["site"] == 2:
+            raise KeyboardInterrupt
+        return {"a": 1}
+
+    with pytest.raises(KeyboardInterrupt):
+        list(RowFile(tmp_path / "rows.json").rows([{"site": 1}, {"site": 2}], compute))
+    assert RowFile(tmp_path / "rows.json").find({"site": 1}) == {"run": {"site": 1}, "a": 1}
+    assert RowFile(tmp_path / "rows.json").find({"site": 2}) is None
+
+
+def test_rows_that_do_not_say_what_was_run_are_forgotten(tmp_path: Path) -> None:
+    (tmp_path / "rows.json").write_text('[{"site": 501, "method": "lifted"}]')
+    assert RowFile(tmp_path / "rows.json").find({"site": 501}) is None
+
+
+def test_every_method_has_options_that_exist() -> None:
+    for method in learning.METHODS:
+        options = learning.options_of(method, seed=3, steps=7)
+        if options is not None:
+            assert FinetuneConfig(**options).steps == 7
+    assert learning.options_of("labels", 0, 1) is None
+    assert set(learning.DEFAULT_METHODS) <= set(learning.METHODS)
+
+
+def test_every_run_is_another() -> None:
+    runs = list(learning.runs_of(arguments()))
+    assert len(runs) == 2 * 2 * 2
+    assert len({str(run) for run in runs}) == len(runs)
+
+
+def test_the_table_has_means_and_spreads_over_runs() -> None:
+    lines = table(rows()).splitlines()
+    assert lines[2].startswith("| baseline | plane | 2 | 0.415 ± 0.007 |")
+    assert len({line.count("|") for line in lines}) == 1
+
+
+def test_ratios_are_taken_run_by_run() -> None:
+    line = next(line for line in ratios(rows()).splitlines() if line.startswith("| lifted"))
+    assert line.startswith(f"| lifted | {(0.61 / 0.81 + 0.62 / 0.82) / 2:.2f} ± 0.00 |")
+    assert line.endswith("| 0.50 ± 0.00 |")
+    without = [row for row in rows() if row["run"]["method"] != "truth"]
+    assert ratios(without) == ""
+    assert "Relative to" in document(rows(), "command") and "Relative to" not in document(without, "command")
+
+
+def test_verdicts_count_significant_runs() -> None:
+    some = [*rows(), {"run": {"site": 3, "seed": 0, "method": "lifted", "seconds": 90.0}, **figures(0.3, -0.1)}]
+    assert "| lifted | 3 | 2 | 1 | 0 |" in verdicts(some).splitlines()
+    assert not any(line.startswith("| baseline") for line in verdicts(some).splitlines())
+
+
+def test_the_document_says_which_sites_were_used_to_choose(tmp_path: Path) -> None:
+    assert "No site was used to choose" in document(rows(), "command")
+    some = [row | {"chosen_on": row["run"]["site"] == 2} for row in rows()]
+    text = document(some, "command")
+    assert "Used to choose methods and options, so that their figures flatter: 2." in text
+    assert "    command" in text and by_distance(some) in text and "0–10 m" in text
+    draw(some, tmp_path)
+    assert (tmp_path / "learning.png").stat().st_size > 5000 < (tmp_path / "learning-distance.png").stat().st_size
+
+
+def amounts() -> list[dict[str, Any]]:
+    of = {0.0: 0.4, 0.25: 0.5, 0.5: 0.58, 1.0: 0.6}
+    return [
+        {
+            "run": {"site": site, "seed": 0, "share": share},
+            "minutes": 4 * share,
+            "vehicles": round(100 * share),
+            **figures(bev),
+        }
+        for site in (1, 2)
+        for share, bev in of.items()
+    ]
+
+
+def test_shares_of_the_full_gain_are_told_between_the_amounts_tried() -> None:
+    assert data_amount.gains(amounts()) == {0.25: pytest.approx([0.5, 0.5]), 0.5: pytest.approx([0.9, 0.9]), 1: [1, 1]}
+    assert data_amount.gain_after(amounts(), 1.0) == pytest.approx(0.5)
+    assert data_amount.gain_after(amounts(), 1.5) == pytest.approx(0.7)
+    assert data_amount.gain_after(amounts(), 9.0) is None
+    assert data_amount.minutes_for(amounts(), 0.9) == pytest.approx(2.0, abs=0.02)
+    text = data_amount.advice(amounts())
+    assert "One minute of footage to learn from gave 50 % of the full gain." in text
+    assert "4.0 min with 100 vehicles" in text
+
+
+def test_the_data_amount_document_and_curve(tmp_path: Path) -> None:
+    text = data_amount.document(amounts(), "command")
+    assert "| 25 % | 1.00 ± 0.00 | 25 ± 0 | 2 |" in text
+    data_amount.save(data_amount.curve_figure(amounts()), tmp_path / "curve.png")
+    assert (tmp_path / "curve.png").stat().st_size > 5000
+    assert [run["share"] for run in data_amount.runs_of(arguments(sites=[11], seeds=[0]))] == [0.0, 0.5, 1.0]
+
+
+def test_a_figure_is_a_number_or_a_mean() -> None:
+    assert (mean_of({"a": 2}, "a"), mean_of({"a": {"mean": 3}}, "a"), mean_of({}, "a")) == (2, 3, None)

@@ -1,0 +1,60 @@
+"""The still background of a camera."""
+
+import numpy as np
+
+from wibam_core.detection.background import UNKNOWN, still_background
+
+HEIGHT, WIDTH = 40, 60
+
+
+def _scene(seed: int) -> np.ndarray:
+    return np.random.default_rng(seed).integers(30, 220, (HEIGHT, WIDTH, 3)).astype(np.uint8)
+
+
+def test_vehicles_that_stand_for_most_of_the_time_leave_no_trace_where_the_ground_was_seen_often_enough():
+    still = _scene(0)
+    images, boxes = [], []
+    for number in range(12):
+        image = still.copy()
+        if number < 8:  # a queue at a red light
+            image[10:20, 20:40] = 255
+            boxes.append(np.array([[19.5, 9.5, 39.5, 19.5]]))
+        else:
+            boxes.append(np.empty((0, 4)))
+        images.append(image)
+    background = still_background(images, boxes)
+    np.testing.assert_array_equal(background.image, still)
+    assert (background.known == 255).all()
+
+
+def test_where_a_vehicle_always_stood_nothing_is_known():
+    still = _scene(1)
+    boxes = [np.array([[19.5, 9.5, 39.5, 19.5]])] * 6
+    background = still_background([still] * 6, boxes)
+    assert (background.known[12:18, 22:38] == 0).all()
+    assert (background.image[12:18, 22:38] == UNKNOWN).all()
+    assert (background.known[:6] == 255).all()
+    np.testing.assert_array_equal(background.image[:6], still[:6])
+
+
+def test_noise_and_passing_shadows_are_averaged_out():
+    rng = np.random.default_rng(2)
+    still = np.full((HEIGHT, WIDTH, 3), 120, np.uint8)
+    images = []
+    for number in range(15):
+        image = np.clip(still + rng.normal(0, 8, still.shape), 0, 255).astype(np.uint8)
+        image[:, 4 * number : 4 * number + 6] //= 2
+        images.append(image)
+    background = still_background(images, [np.empty((0, 4))] * 15)
+    assert np.abs(background.image.astype(int) - 120).mean() < 4
+    assert np.abs(background.image.astype(int) - 120).max() < 16
+
+
+def test_boxes_may_reach_beyond_the_image():
+    background = still_background([_scene(3)] * 5, [np.array([[-0.5, -0.5, 10.0, 10.0], [50.0, 30.0, 59.5, 39.5]])] * 5)
+    assert background.known[0, 0] == 0 and background.known[-1, -1] == 0 and background.known[20, 30] == 255
+
+
+def test_of_a_single_image_what_lies_outside_of_boxes_is_known():
+    background = still_background([_scene(4)], [np.array([[10.0, 10.0, 20.0, 20.0]])])
+    assert background.known[0, 0] == 255 and background.known[15, 15] == 0

@@ -1,0 +1,140 @@
+"""A site's own CenterTrack weights: where fine-tuning starts, what evaluation compares with, what tracks."""
+
+import json
+from collections.abc import Iterable, Iterator
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import pytest
+import safetensors
+import torch
+from safetensors.torch import load_file, save_file
+
+from tests.builders import site_of
+from tests.site_dataset import tiny_rig, tiny_site
+from wibam_core.config import EvaluateConfig, FinetuneConfig, PipelineConfig, TrackConfig
+from wibam_core.dataset.split import Split
+from wibam_core.errors import InputError, InvalidOption, InvalidWeights, UnreadableVideo
+from wibam_core.formats.annotations import write_annotations
+from wibam_core.formats.rig import write_rig
+from wibam_core.formats.vehicles3d import write_vehicles3d
+from wibam_core.models.dla34 import DLA34
+from wibam_core.models.inference import Frame
+from wibam_core.models.small import SmallNetwork
+from wibam_core.models.weights import centertrack_metadata, load_centertrack, save_network
+from wibam_core.progress import silent
+from wibam_core.scene import Vehicles3D
+from wibam_core.stages import evaluate, finetune, track
+from wibam_core.stages.base import StageContext
+from wibam_core.stages.graph import InputDigests, plan
+from wibam_core.stages.runner import SiteFolder, StageUpdate, run_pipeline
+from wibam_core.stages.store import StageStore
+from wibam_core.training import dla34
+
+CUSTOM = FinetuneConfig(network="custom", steps=1, batch_size=1, steps_per_epoch=1)
+
+
+@pytest.fixture(autouse=True)
+def _small_input_and_one_thread(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(dla34, "LONG_SIDE_PX", 64)
+    torch.set_num_threads(1)
+
+
+@pytest.fixture(scope="module")
+def weights(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    path = tmp_path_factory.mktemp("weights") / "network.safetensors"
+    torch.manual_seed(0)
+    save_network(DLA34(), path, {"licence": "for trying out", "source_name": "theirs.pth"})
+    return path
+
+
+@pytest.fixture
+def context(tmp_path: Path, weights: Path) -> StageContext:
+    upstream = {name: tmp_path / name for name in ("calibrate", "frames", "associate", "dataset", "lift")}
+    for path in (*upstream.values(), tmp_path / "finetune", tmp_path / "scratch"):
+        path.mkdir()
+    site = tiny_site(upstream["frames"])
+    write_rig(upstream["calibrate"] / "rig.json", site.rig)
+    write_annotations(upstream["associate"] / "annotations.parquet", site.instants)
+    write_vehicles3d(upstream["lift"] / "lifts.parquet", site.lifts)
+    times = tuple(instant.time_ns for instant in site.instants)
+    nobody: dict[str, frozenset[int]] = dict.fromkeys(("train", "val", "test"), frozenset())
+    split = Split({"train": times[:2], "val": times[2:3], "test": times[3:]}, nobody)
+    (upstream["dataset"] / "split.json").write_text(json.dumps(split.to_json()))
+    return StageContext(
+        site_of(tiny_rig()), {}, {"network": weights}, upstream, tmp_path / "finetune", tmp_path / "scratch", silent
+    )
+
+
+def test_it_is_fine_tuned_compared_and_tracked_with(context: StageContext, monkeypatch: pytest.MonkeyPatch) -> None:
+    finetune.run(context, CUSTOM)
+    tuned = context.output / "weights.safetensors"
+    after, before = load_centertrack(tuned), load_centertrack(context.assets["network"])
+    assert not torch.equal(after.hm[2].bias, before.hm[2].bias)
+    with safetensors.safe_open(str(tuned), "pt") as file:
+        assert {"licence": "for trying out", "source_name": "theirs.pth"}.items() <= file.metadata().items()
+    assert json.loads((context.output / "curves.json").read_text())["network"] == "custom"
+
+    used: list[tuple[float, str]] = []
+
+    def nothing(network: DLA34, frames: Iterable[Frame], *, min_score: float, decode: str) -> Iterator[Vehicles3D]:
+        used.append((float(network.hm[2].bias[0].detach()), decode))
+        for frame in frames:
+            yield Vehicles3D.of(frame.time_ns, torch.zeros(0, 7).numpy(), camera_id=frame.camera_id)
+
+    for module in (evaluate, track):
+        monkeypatch.setattr(module, "predict_vehicles", nothing)
+    later = replace(context, upstream={**context.upstream, "finetune": context.output}, output=context.scratch)
+    evaluate.run(later, EvaluateConfig())
+    start, end = (float(one.hm[2].bias[0].detach()) for one in (before, after))
+    assert used == [(start, "plane"), (start, "depth"), (end, "plane")]
+    track.run(later, TrackConfig())
+    assert used[3:] == [(end, "plane")]
+
+
+def test_what_cannot_be_used_is_refused_before_anything_is_read(context: StageContext, tmp_path: Path) -> None:
+    def refused(error: type[Exception], said: str, config: FinetuneConfig = CUSTOM, **assets: Path) -> None:
+        nowhere: dict[str, Path] = {}
+        with pytest.raises(error, match=said):
+            finetune.run(replace(context, assets=assets, upstream=nowhere), config)
+
+    refused(InputError, "the site has no network")
+    save_network(SmallNetwork(), tmp_path / "small")
+    refused(InvalidWeights, "family is 'wibam-small', not 'centertrack-dla34'", network=tmp_path / "small")
+    changed: dict[str, Any] = load_file(str(context.assets["network"]))
+    changed["dep.2.bias"] = torch.zeros(2)
+    save_file(changed, str(tmp_path / "changed"), metadata=centertrack_metadata())
+    refused(InvalidWeights, r"tensor dep.2.bias has shape \(2,\), not \(1,\)", network=tmp_path / "changed")
+    if not torch.cuda.is_available():
+        refused(InvalidOption, "no CUDA device", FinetuneConfig(device="cuda"))
+
+
+def test_a_job_is_planned_with_it_alone_where_it_is_there(weights: Path) -> None:
+    config = PipelineConfig.parse({"finetune": {"network": "custom"}})
+    recordings = dict.fromkeys(site_of().camera_ids, "a")
+    with pytest.raises(InputError, match="the site has no network"):
+        plan(site_of(), config, InputDigests(recordings, {}))
+    first, second = (plan(site_of(), config, InputDigests(recordings, {"network": digest})) for digest in "bc")
+    changed = {a.name for a, b in zip(first, second, strict=True) if a.digest != b.digest}
+    assert changed == {"finetune", "evaluate", "track", "safety", "report"}
+
+
+def test_a_device_that_is_not_there_is_refused_before_the_first_stage(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(torch.cuda, "is_available", lambda: False)
+    (tmp_path / "video").write_bytes(b"no video")
+    folder = SiteFolder(site_of(), dict.fromkeys(site_of().camera_ids, tmp_path / "video"), {})
+    config = PipelineConfig.parse({"finetune": {"device": "cuda"}})
+    updates: list[StageUpdate] = []
+    with pytest.raises(InvalidOption, match="no CUDA device"):
+        run_pipeline(folder, StageStore(tmp_path / "store"), config, updates.append)
+    assert updates == []
+    with pytest.raises(UnreadableVideo):  # what does not train needs no device
+        run_pipeline(folder, StageStore(tmp_path / "store"), config, updates.append, until="sync")
+
+
+def test_it_states_no_uncertainties_to_fuse_by() -> None:
+    with pytest.raises(InvalidOption, match="no uncertainties"):
+        PipelineConfig.parse({"finetune": {"network": "custom", "decode": "fused"}})

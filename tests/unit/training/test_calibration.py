@@ -1,0 +1,65 @@
+"""Factors of standard deviations, from fits instead of labels."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+
+from tests.site_dataset import tiny_site
+from wibam_core.evaluation.uncertainty import SdFactors
+from wibam_core.models.small import SmallNetwork
+from wibam_core.scene import Vehicles3D
+from wibam_core.training.calibration import factors_from_fits, sd_factors
+from wibam_core.training.dataset import SiteView, site_views
+from wibam_core.training.finetune import SiteDataset
+
+
+@pytest.fixture
+def site(tmp_path: Path) -> SiteDataset:
+    tiny = tiny_site(tmp_path)
+    views = site_views(tiny.instants, tiny.frames, tiny.lifts, tiny.rig)
+    return SiteDataset(tiny.frames, tiny.rig, [], 60 * views)
+
+
+def predicted(view: SiteView, rng: np.random.Generator, factor: float) -> Vehicles3D:
+    """The fits with Laplace errors that are ``factor`` times as large as they are said to be."""
+    fits = view.labels.boxes3d
+    stated = np.tile([0.2, 0.2, 0.05, 0.2, 0.1, 0.1, 0.1], (len(fits), 1))
+    return Vehicles3D.of(view.time_ns, fits + rng.laplace(0, factor * stated / np.sqrt(2)), sd=stated)
+
+
+@pytest.mark.parametrize("factor", [0.6, 1.7])
+def test_errors_against_the_fits_give_the_factor(site: SiteDataset, factor: float) -> None:
+    rng = np.random.default_rng(0)
+    views = site.validation
+    found = factors_from_fits([predicted(view, rng, factor) for view in views], views)
+    for name, got in vars(found).items():
+        never_surer = name in ("z", "size")
+        assert got == pytest.approx(max(factor, 1.0) if never_surer else factor, rel=0.2), name
+
+
+def test_a_fit_that_does_not_know_the_front_says_nothing_of_the_heading(site: SiteDataset) -> None:
+    rng = np.random.default_rng(0)
+    found = []
+    for view in site.validation:
+        vehicles = predicted(view, rng, 1.0)
+        vehicles.boxes[~view.labels.front_known, 6] += np.pi
+        found.append(vehicles)
+    assert factors_from_fits(found, site.validation).yaw == pytest.approx(1, rel=0.3)
+
+
+def test_what_is_no_vehicle_of_the_fits_says_nothing(site: SiteDataset) -> None:
+    away = np.array([[40.0, 40, 0.75, 4, 2, 1.5, 0]])
+    found = [Vehicles3D.of(view.time_ns, away, sd=np.full((1, 7), 0.1)) for view in site.validation]
+    assert factors_from_fits(found, site.validation) == SdFactors()
+
+
+def test_a_network_looks_at_the_validation_part(site: SiteDataset) -> None:
+    torch.set_num_threads(1)
+    torch.manual_seed(0)
+    alone = SiteDataset(site.frames, site.rig, [], site.validation[:2])
+    assert sd_factors(SmallNetwork(), alone, "plane") == SdFactors()  # an untrained network finds nothing
+    assert sd_factors(SmallNetwork(), SiteDataset(site.frames, site.rig, [], []), "plane") == SdFactors()

@@ -1,0 +1,273 @@
+"""Bodies that correct themselves: a few deformations of each class's template, learned from all its tracks at a site.
+
+A template that is wrong makes every vehicle of its class wrong in the same way. Each mode moves some of the template's
+points inside the vehicle's extent, so that it is told apart from a size. All tracks of a class share the modes; the
+place, heading and size of each vehicle are free, and marginalised.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from wibam_core.lifting.fit import (
+    LOG_HEIGHT,
+    LOG_LENGTH,
+    ROBUST_SD,
+    YAW,
+    Fit,
+    FitProblem,
+    X,
+    Y,
+    edge_sd,
+    fit,
+    predicted_edges,
+    with_bodies,
+)
+from wibam_core.lifting.templates import LOG_SIZE_MEAN, LOG_SIZE_SD, TEMPLATES
+from wibam_core.lifting.trajectory import Tracks
+from wibam_core.scene import CLASSES, FloatArray, IntArray
+
+#: What a mode of 1 changes: the roof's length, its place along the vehicle (forwards), its width, how much narrower the
+#: ends and shorter the sides of the body are than its extent, and the height of the body's upper edge.
+MODES = ("roof_length", "roof_shift", "roof_width", "corner_cut", "waist_height")
+#: Standard deviation of each mode before looking, in lengths, widths or heights of the vehicle; of the classes' means,
+#: and as much again of one vehicle about the mean of its class.
+MODE_SD: FloatArray = np.array([0.06, 0.05, 0.06, 0.06, 0.06])
+MODE_SD.setflags(write=False)
+
+#: Classes with fewer tracks keep their template.
+FEWEST_TRACKS = 5
+#: So many sightings of a track are looked at; they count as this many, since errors of one vehicle are alike.
+_SIGHTINGS = 8
+_INDEPENDENT_SIGHTINGS = 4.0
+_ROUNDS = 2
+#: Derivatives by the modes are differences over this many of their standard deviations each way.
+_STEP_SD = 0.5
+_ROBUST_TRACK_SD = 2.0
+_PASSES = 4
+
+
+def _modes(template: FloatArray) -> FloatArray:
+    """(K, P, 3) displacements of a template's points (P, 3) per unit of a mode, in lengths, widths and heights."""
+    side, end = np.sign(template[:, 1]), np.sign(template[:, 0])
+    z = template[:, 2]
+    roof, wheels = z > 0.49, z < -0.49
+    ring = ~roof & ~wheels
+    ends = ring & (np.abs(template[:, 1]) < 0.46)
+    modes = np.zeros((len(MODES), *template.shape))
+    ahead = np.sign(template[:, 0] - template[roof, 0].mean())
+    modes[0, roof, 0] = ahead[roof] / 2
+    modes[1, roof, 0] = 1.0
+    modes[2, roof, 1] = side[roof] / 2
+    modes[3, ends, 1] = -side[ends] / 2
+    modes[3, ring & ~ends, 0] = -end[ring & ~ends] / 2
+    modes[4, ring & (z > -0.15), 2] = 1.0
+    return modes
+
+
+#: (classes, K, P, 3) in the order of `CLASSES` and `MODES`.
+DEFORMATIONS: FloatArray = np.array([_modes(template) for template in TEMPLATES])
+DEFORMATIONS.setflags(write=False)
+
+
+def deformed(templates: FloatArray, modes: FloatArray) -> FloatArray:
+    """(classes, P, 3) templates with ``modes`` (classes, K) applied; no point leaves the vehicle's extent."""
+    return np.asarray(np.clip(templates + np.einsum("ck,ckpi->cpi", modes, DEFORMATIONS), -0.5, 0.5))
+
+
+@dataclass(frozen=True, eq=False)
+class Shapes:
+    """What was learned of the classes' bodies.
+
+    Attributes:
+        templates: (classes, P, 3) as they were before. modes: (classes, K). sd: (classes, K) standard deviations.
+        tracks: (classes,) from how many tracks; 0 where there were too few, or where no other body fits better.
+    """
+
+    templates: FloatArray
+    modes: FloatArray
+    sd: FloatArray
+    tracks: IntArray
+
+    @classmethod
+    def unlearned(cls, templates: FloatArray = TEMPLATES) -> Shapes:
+        """The templates as they are."""
+        c = len(templates)
+        return cls(templates, np.zeros((c, len(MODES))), np.tile(MODE_SD, (c, 1)), np.zeros(c, dtype=np.int64))
+
+    @property
+    def bodies(self) -> FloatArray:
+        """(classes, P, 3) corrected templates."""
+        return deformed(self.templates, self.modes)
+
+    def updated(self, other: Shapes, take: np.ndarray) -> Shapes:
+        """The classes ``take`` (classes,) as in the other."""
+        return Shapes(
+            self.templates,
+            np.where(take[:, None], other.modes, self.modes),
+            np.where(take[:, None], other.sd, self.sd),
+            np.where(take, other.tracks, self.tracks),
+        )
+
+    def statistics(self) -> dict[str, Any]:
+        """Modes and standard deviations of the classes whose bodies were corrected (JSON types)."""
+        return {
+            str(CLASSES[c]): {
+                "tracks": int(self.tracks[c]),
+                "modes": dict(zip(MODES, self.modes[c].tolist(), strict=True)),
+                "sd": dict(zip(MODES, self.sd[c].tolist(), strict=True)),
+            }
+            for c in np.flatnonzero(self.tracks)
+        }
+
+
+def learn_shapes(
+    problem: FitProblem,
+    classes: IntArray,
+    tracks: Tracks,
+    usable: np.ndarray,
+    iterations: int,
+    templates: FloatArray = TEMPLATES,
+) -> Shapes:
+    """Estimate the modes of every class that has enough tracks.
+
+    Args:
+        problem: N vehicles at instants; their bodies are not read.
+        classes: (N,) class indices, equal within a track.
+        tracks: how the vehicles form tracks.
+        usable: (N,) bool: seen by several cameras, and with a heading that is known.
+        iterations: most steps of a fit.
+        templates: (classes, P, 3).
+    """
+    shapes = Shapes.unlearned(templates)
+    rows, track = _sample(tracks, usable, classes)
+    if not len(rows):
+        return shapes
+    own = classes[rows]
+    chosen = with_bodies(problem[torch.as_tensor(rows)], shapes.bodies[own])
+    fitted = fit(chosen, chosen.prior_mean[:, None], iterations)
+    best, lowest = shapes, _costs(shapes, fitted, own)
+    for _ in range(_ROUNDS):
+        shapes = _improved(shapes, chosen, fitted, own, track)
+        chosen = with_bodies(chosen, shapes.bodies[own])
+        fitted = fit(chosen, fitted.parameters[:, None], iterations)
+        cost = _costs(shapes, fitted, own)
+        best, lowest = best.updated(shapes, cost < lowest), np.minimum(cost, lowest)
+    return best
+
+
+def _costs(shapes: Shapes, fitted: Fit, classes: IntArray) -> FloatArray:
+    """(classes,) what fits of vehicles and modes together leave unexplained."""
+    own = np.bincount(classes, fitted.cost.numpy(), len(shapes.modes))
+    return np.asarray(own + 0.5 * ((shapes.modes / MODE_SD) ** 2).sum(axis=1))
+
+
+def _sample(tracks: Tracks, usable: np.ndarray, classes: IntArray) -> tuple[IntArray, IntArray]:
+    """Rows of up to `_SIGHTINGS` usable sightings of every track, spread over it, and the number of the track of each.
+
+    Classes with fewer than `FEWEST_TRACKS` tracks are left out.
+    """
+    picked = []
+    for rows, valid in zip(tracks.rows, tracks.valid, strict=True):
+        own = rows[valid]
+        own = own[usable[own]]
+        if len(own):
+            picked.append(own[np.unique(np.linspace(0, len(own) - 1, _SIGHTINGS).round().astype(np.int64))])
+    count = np.bincount([classes[own[0]] for own in picked], minlength=len(CLASSES))
+    picked = [own for own in picked if count[classes[own[0]]] >= FEWEST_TRACKS]
+    if not picked:
+        return np.empty(0, dtype=np.int64), np.empty(0, dtype=np.int64)
+    return np.concatenate(picked), np.repeat(np.arange(len(picked)), [len(own) for own in picked])
+
+
+def _improved(shapes: Shapes, problem: FitProblem, fitted: Fit, classes: IntArray, track: IntArray) -> Shapes:
+    """One Gauss–Newton step of the modes at fits with the current bodies."""
+    information, score = _of_sightings(shapes, problem, fitted, classes)
+    modes, sd, count = shapes.modes.copy(), shapes.sd.copy(), shapes.tracks.copy()
+    _, first, sightings = np.unique(track, return_index=True, return_counts=True)
+    share = np.minimum(1.0, _INDEPENDENT_SIGHTINGS / sightings)
+    tracks_information = share[:, None, None] * np.add.reduceat(information, first)
+    tracks_score = share[:, None] * np.add.reduceat(score, first)
+    for c in np.unique(classes):
+        own = classes[first] == c
+        modes[c], sd[c] = _of_class(tracks_information[own], tracks_score[own], LOG_SIZE_SD[c])
+        count[c] = own.sum()
+    return replace(shapes, modes=modes, sd=sd, tracks=count)
+
+
+def _of_sightings(shapes: Shapes, problem: FitProblem, fitted: Fit, classes: IntArray) -> tuple[FloatArray, FloatArray]:
+    """Information (N, 3 + K, 3 + K) of single sightings on log sizes (from the class's usual ones) and modes, and the
+    score (N, 3 + K) where both are 0; place and yaw are marginalised."""
+    edges, jacobian, exact, used = predicted_edges(problem, fitted.parameters)
+    sd = edge_sd(problem)
+    compared = (exact & used[..., None]).numpy()
+    residual = np.where(compared, ((edges - problem.boxes) / sd).numpy(), 0.0).astype(np.float64)
+    weight = compared / (1 + (residual / ROBUST_SD) ** 2)
+    n = len(residual)
+    slopes = np.concatenate([jacobian.numpy(), _by_modes(shapes, problem, fitted.parameters, classes)], axis=-1)
+    flat = (slopes / sd.numpy()[..., None]).reshape(n, -1, 6 + len(MODES))
+    residual, weight = residual.reshape(n, -1), weight.reshape(n, -1)
+    pose = [X, Y, YAW]
+    shared = [*range(LOG_LENGTH, LOG_HEIGHT + 1), *range(6, 6 + len(MODES))]
+    parameters = fitted.parameters.numpy().astype(np.float64)
+    at = np.concatenate([parameters[:, LOG_LENGTH : LOG_HEIGHT + 1] - LOG_SIZE_MEAN[classes], shapes.modes[classes]], 1)
+    # residuals of vehicles of usual size with the template as it was
+    residual = residual - np.einsum("nej,nj->ne", flat[..., shared], at)
+    hessian = np.einsum("nei,ne,nej->nij", flat, weight, flat)
+    gradient = np.einsum("nei,ne,ne->ni", flat, weight, residual)
+    prior = problem.prior_weight.numpy().astype(np.float64)[:, pose]
+    off = (parameters - problem.prior_mean.numpy())[:, pose]
+    off[:, 2] = np.arctan2(np.sin(off[:, 2]), np.cos(off[:, 2]))
+    free = hessian[:, pose][:, :, pose] + (prior + 1e-6)[:, :, None] * np.eye(3)
+    pull = gradient[:, pose] + prior * off
+    return _marginal(hessian[:, shared][:, :, shared], gradient[:, shared], hessian[:, shared][:, :, pose], free, pull)
+
+
+def _by_modes(shapes: Shapes, problem: FitProblem, parameters: Tensor, classes: IntArray) -> FloatArray:
+    """(N, V, 4, K) derivatives of edges by the modes, px per unit: differences over as much as a mode may change, since
+    the points of a body take turns in making its edges."""
+    columns = []
+    for mode, step in enumerate(MODE_SD * _STEP_SD):
+        ahead, back = (
+            predicted_edges(with_bodies(problem, deformed(shapes.templates, modes)[classes]), parameters)[0].numpy()
+            for modes in (
+                shapes.modes + step * np.eye(len(MODES))[mode],
+                shapes.modes - step * np.eye(len(MODES))[mode],
+            )
+        )
+        columns.append((ahead.astype(np.float64) - back) / (2 * step))
+    return np.stack(columns, axis=-1)
+
+
+def _marginal(
+    a: FloatArray, eta_a: FloatArray, cross: FloatArray, b: FloatArray, eta_b: FloatArray
+) -> tuple[FloatArray, FloatArray]:
+    """Information ``a`` (N, i, i) and score (N, i) without the unknowns of ``b`` (N, j, j): the Schur complement."""
+    solved = np.linalg.solve(b, np.concatenate([cross.transpose(0, 2, 1), eta_b[..., None]], axis=2))
+    return a - cross @ solved[..., :-1], eta_a - (cross @ solved[..., -1:])[..., 0]
+
+
+def _of_class(information: FloatArray, score: FloatArray, log_size_sd: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Modes (K,) and their s.d. (K,) of the information (M, 3 + K, 3 + K) of tracks and its score (M, 3 + K).
+
+    The sizes of a site's vehicles spread about their own mean, which is known no better than a single vehicle's size.
+    """
+    k = len(MODES)
+    spread = np.diag(np.concatenate([log_size_sd, MODE_SD]) ** 2)
+    prior = np.linalg.inv(spread)
+    # one vehicle's own size and shape about the class's: (Λ⁻¹ + S)⁻¹ = (1 + Λ S)⁻¹ Λ
+    own = np.linalg.inv(np.eye(3 + k) + information @ spread)
+    information, score = own @ information, -(own @ score[..., None])[..., 0]
+    weight, inverse = np.ones(len(information)), np.linalg.pinv(information)
+    for _ in range(_PASSES):
+        covariance = np.linalg.inv(prior + np.einsum("m,mij->ij", weight, information))
+        mean = covariance @ np.einsum("m,mi->i", weight, score)
+        off = score - information @ mean
+        squared = np.einsum("mi,mij,mj->m", off, inverse, off) / (3 + k)
+        weight = 1 / (1 + squared / _ROBUST_TRACK_SD**2)
+    return mean[3:], np.sqrt(np.diagonal(covariance))[3:]

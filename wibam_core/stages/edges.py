@@ -1,0 +1,74 @@
+"""The second half of detection: every box again, against what its camera shows without vehicles."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Iterator, Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from functools import partial
+
+from wibam_core.detection.background import StillBackground, still_background
+from wibam_core.detection.boxes import Found
+from wibam_core.detection.refine import EdgeRefiner
+from wibam_core.formats.framestore import FrameStore
+from wibam_core.progress import Progress
+from wibam_core.scene import AnnotatedInstant, Detections2D
+
+#: A background is made for so many seconds, in which the light changes little, of so many frames.
+_BLOCK_S = 120.0
+_FRAMES = 32
+
+
+def refine_all(
+    store: FrameStore, instants: Sequence[AnnotatedInstant], progress: Progress
+) -> Iterator[AnnotatedInstant]:
+    """The instants, in order, with sharper boxes.
+
+    Args:
+        store: the frames of the instants.
+        instants: with detections, no vehicles yet; ascending.
+        progress: told after every block of some minutes.
+    """
+    refiner = EdgeRefiner()
+    done = 0
+    with ThreadPoolExecutor(max_workers=len(os.sched_getaffinity(0))) as pool:
+        for block in _blocks(instants):
+            cameras = sorted({camera_id for instant in block for camera_id in instant.detections})
+            backgrounds = dict(zip(cameras, pool.map(partial(_background, store, block), cameras), strict=True))
+            for instant in pool.map(partial(_refined, store, refiner, backgrounds), block):
+                yield instant
+                done += 1
+                if done % 50 == 0 or done == len(instants):
+                    progress(done / len(instants), f"edges: {done} of {len(instants)} instants")
+
+
+def _blocks(instants: Sequence[AnnotatedInstant]) -> list[list[AnnotatedInstant]]:
+    """Consecutive instants, all blocks of about equal duration."""
+    duration_s = (instants[-1].time_ns - instants[0].time_ns) * 1e-9
+    count = max(1, round(duration_s / _BLOCK_S))
+    blocks: list[list[AnnotatedInstant]] = [[] for _ in range(count)]
+    for instant in instants:
+        share = (instant.time_ns - instants[0].time_ns) * 1e-9 / max(duration_s, 1e-9)
+        blocks[min(int(share * count), count - 1)].append(instant)
+    return [block for block in blocks if block]
+
+
+def _background(store: FrameStore, block: Sequence[AnnotatedInstant], camera_id: str) -> StillBackground:
+    there = [instant for instant in block if camera_id in instant.detections]
+    chosen = there[:: max(1, len(there) // _FRAMES)][:_FRAMES]
+    images = [store.image(camera_id, instant.time_ns) for instant in chosen]
+    boxes = [store.to_stored_px(camera_id, instant.detections[camera_id].boxes) for instant in chosen]
+    return still_background(images, boxes)
+
+
+def _refined(
+    store: FrameStore, refiner: EdgeRefiner, backgrounds: Mapping[str, StillBackground], instant: AnnotatedInstant
+) -> AnnotatedInstant:
+    def refine(seen: Detections2D) -> Detections2D:
+        image = store.image(seen.camera_id, instant.time_ns)
+        boxes = store.to_stored_px(seen.camera_id, seen.boxes)
+        found = refiner.refine(image, backgrounds[seen.camera_id], Found(boxes, seen.scores, seen.classes))
+        native = store.to_native_px(seen.camera_id, found.boxes)
+        return Detections2D(seen.camera_id, seen.frame_time_ns, native, found.scores, found.classes)
+
+    return AnnotatedInstant(instant.time_ns, {id_: refine(seen) for id_, seen in instant.detections.items()})
