@@ -45,11 +45,14 @@ fix: $(READY) ## format the code and mend what the linter can mend
 weights: $(READY) ## train the bundled networks again from simulated images (hours on one core): build/weights
 	$(BIN)/python -m wibam_core.training.pretrain_detector --out build/weights
 	$(BIN)/python -m wibam_core.training.pretrain_refiner --out build/weights
-	$(BIN)/python -m wibam_core.training.pretrain --out build/weights/1 --steps 4500 --images 3000 --seed 0
+	$(BIN)/python -m wibam_core.training.pretrain --out build/weights/1 --steps 4500 --images 3000 --seed 0 \
+		--rendered 544 384 --zoom 0.7 1.45
 	$(BIN)/python -m wibam_core.training.pretrain --out build/weights/2 --steps 4000 --images 6000 --shard 400 \
-		--seed 10000 --learning-rate 1.5e-3 --start build/weights/1/mono_small.safetensors
+		--seed 10000 --learning-rate 1.5e-3 --rendered 544 384 --zoom 0.7 1.45 \
+		--start build/weights/1/mono_small.safetensors
 	$(BIN)/python -m wibam_core.training.pretrain --out build/weights/3 --steps 5000 --images 8000 --shard 400 \
-		--seed 20000 --learning-rate 1.5e-3 --start build/weights/2/mono_small.safetensors
+		--seed 20000 --learning-rate 1.5e-3 --rendered 544 384 --zoom 0.7 1.45 \
+		--start build/weights/2/mono_small.safetensors
 
 clean: ## remove what was built; the virtual environment stays
 	rm -rf build .mypy_cache .ruff_cache .pytest_cache .import_linter_cache

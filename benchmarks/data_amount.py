@@ -1,8 +1,9 @@
 """How much footage is enough: fine-tuning on the first part of the training footage, as many steps, the same test part.
 
 As in the published study of the amount of data (Howe et al. 2021, figure 4), but that vehicles are counted, too. The
-fits are those of the whole footage; those of a part of it would differ at its very end only. Writes
-``data-amount.json`` (a killed run goes on where it was), ``data-amount.md`` and ``data-amount.png``.
+fits are those of a job on the whole recording, whose body templates, sizes and edge noise rest on all of it: a part of
+the footage alone would give worse fits, so that small shares are flattered. Writes ``data-amount.json`` (a killed run
+goes on where it was), ``data-amount.md`` and ``data-amount.png``.
 
 Run: python -m benchmarks.data_amount --sites 11 12 --seeds 0 1 --seconds 300 --steps 350 --out docs
 """
@@ -11,21 +12,25 @@ from __future__ import annotations
 
 import argparse
 from collections.abc import Iterator, Sequence
-from functools import cache
-from pathlib import Path
 
 import numpy as np
 from matplotlib.figure import Figure
 
-from benchmarks.learning_report import save, share_of_gain
-from benchmarks.learning_rows import Row, RowFile, Run, mean_of
-from benchmarks.learning_sites import CHOSEN_ON, Figures, Site, bundled_network, figures, finetuned_on, make_site, views
+from benchmarks.learning_options import command_of, made_rows, site_parser
+from benchmarks.learning_report import caveats, save, share_of_gain
+from benchmarks.learning_rows import Row, Run, mean_of
+from benchmarks.learning_sites import CHOSEN_ON, Figures, Site, bundled_network, figures, finetuned_on, views
 from wibam_core.config import FinetuneConfig
 from wibam_core.report.style import BASELINE, FINETUNED, new_figure, tidy
 
 SHARES = (0.1, 0.25, 0.5, 1.0)
 #: Name in a row -> title.
 SHOWN = {"bev_iou": "BEV IoU", "ate_m": "ATE (m)", "recall": "recall", "bev_iou_misses_zero": "BEV IoU, misses as 0"}
+#: What the document says of the labels.
+FITS = (
+    "Labels are the fits to the whole recording: their body templates, sizes and edge noise rest on more footage than "
+    "the share, which flatters small shares."
+)
 #: The gain is judged by it: it counts what is found and how well.
 JUDGED = "bev_iou_misses_zero"
 
@@ -134,7 +139,10 @@ def document(rows: Sequence[Row], command: str) -> str:
         lines.append(f"| {' | '.join((*about, str(len(mine)), *cells, _cell(gained.get(share, []), 2)))} |")
     sites = ", ".join(str(site) for site in sorted({row["run"]["site"] for row in rows}))
     title = "# How much footage is enough"
-    rest_on = f"Sites: {sites}. Means of the runs ± their standard deviation; the gain is that in {SHOWN[JUDGED]}."
+    rest_on = (
+        f"Sites: {sites}. Means of the runs ± their standard deviation; the gain is that in {SHOWN[JUDGED]}. {FITS} "
+        f"{caveats(rows)}"
+    )
     return "\n\n".join(
         (title, advice(rows), rest_on, f"    {command}", "\n".join(lines), "![curve](data-amount.png)\n")
     )
@@ -177,35 +185,18 @@ def _cell(values: Sequence[float | None], digits: int) -> str:
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--sites", type=int, nargs="+", default=[11, 12])
+    parser = site_parser(__doc__, sites=[11, 12], seconds=300.0)
     parser.add_argument("--seeds", type=int, nargs="+", default=[0])
     parser.add_argument("--shares", type=float, nargs="+", default=list(SHARES))
-    parser.add_argument("--seconds", type=float, default=300.0)
-    parser.add_argument("--density", type=float, default=1.2)
     parser.add_argument("--steps", type=int, default=350)
-    parser.add_argument("--fresh", action="store_true", help="forget the rows that were made before")
-    parser.add_argument("--cache", type=Path, default=Path("build/learning"))
-    parser.add_argument("--out", type=Path, default=Path("build/learning"))
     arguments = parser.parse_args()
-
-    @cache
-    def site_of(number: int) -> Site:
-        return make_site(number, arguments.seconds, arguments.density, arguments.cache)
-
-    file = RowFile(arguments.out / "data-amount.json", fresh=arguments.fresh)
     rows: list[Row] = []
-    for made in file.rows(runs_of(arguments), lambda run: row(site_of(run["site"]), run)):
+    for made in made_rows(arguments, "data-amount", runs_of(arguments), row):
         rows.append(made)
         about = {"run": made["run"], "minutes": made["minutes"], **{name: mean_of(made, name) for name in SHOWN}}
         print(about, flush=True)
-    lists = {name: " ".join(map(str, getattr(arguments, name))) for name in ("sites", "seeds", "shares")}
-    command = (
-        f"python -m benchmarks.data_amount --sites {lists['sites']} --seeds {lists['seeds']} "
-        f"--shares {lists['shares']} --seconds {arguments.seconds:g} --density {arguments.density:g} "
-        f"--steps {arguments.steps}"
-    )
-    text = document(rows, command)
+    typed = ("sites", "seeds", "shares", "seconds", "density", "steps")
+    text = document(rows, command_of("data_amount", **{name: getattr(arguments, name) for name in typed}))
     (arguments.out / "data-amount.md").write_text(text, encoding="utf-8")
     save(curve_figure(rows), arguments.out / "data-amount.png")
     print(text)

@@ -9,22 +9,24 @@ Rows per site and seed:
 - ``labels``: the fits themselves, in the training part.
 
 Each network is measured on all frames of the held-out part of its site, as a job measures it. Writes ``learning.json``
-(rows, each as soon as it is made: a killed run goes on where it was), ``learning.md`` and figures.
+(rows, each as soon as it is made: a killed run goes on where it was), ``learning.md`` and figures. Rows that other code
+made are made again, but with ``--keep``; ``--draw`` joins the rows of files and runs nothing.
 
 Run: python -m benchmarks.learning --sites 501 502 --seeds 0 --seconds 90 --steps 350 --out docs
 Short, about five minutes on two idle cores: python -m benchmarks.learning --short
+Join: python -m benchmarks.learning --draw build/a/learning.json build/b/learning.json --out docs
 """
 
 from __future__ import annotations
 
 import argparse
-from collections.abc import Iterator, Mapping
-from functools import cache
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
+from benchmarks.learning_options import command_of, made_rows, site_parser
 from benchmarks.learning_report import document, draw, table
-from benchmarks.learning_rows import Row, RowFile, Run
+from benchmarks.learning_rows import Row, Run, joined, read_rows, write_rows
 from benchmarks.learning_sites import (
     CHOSEN_ON,
     Figures,
@@ -35,7 +37,6 @@ from benchmarks.learning_sites import (
     finetuned_by_stage,
     finetuned_on,
     label_figures,
-    make_site,
     true_lifts,
     views,
 )
@@ -99,49 +100,83 @@ def trained_by(site: Site, method: str, options: Mapping[str, Any] | None) -> Tr
     return finetuned_on(site, train, validation, FinetuneConfig(**options))
 
 
+def commands_of(rows: Sequence[Row]) -> list[str]:
+    """What to type for these rows: as few commands as there are kinds of runs."""
+    places: dict[tuple[int, int, float, float], list[Run]] = {}
+    for run in (row["run"] for row in rows):
+        places.setdefault((run["site"], run["seed"], run["seconds"], run["density"]), []).append(run)
+    # what is run alike -> seed -> sites
+    alike: dict[tuple[float, float, int | None, tuple[str, ...]], dict[int, list[int]]] = {}
+    for (site, seed, seconds, density), runs in places.items():
+        trained = sorted({run["finetune"]["steps"] for run in runs if run["finetune"] is not None})
+        for steps in trained or [None]:
+            mine = [run for run in runs if run["finetune"] is None or run["finetune"]["steps"] == steps]
+            methods = tuple(sorted({run["method"] for run in mine}, key=_number))
+            alike.setdefault((seconds, density, steps, methods), {}).setdefault(seed, []).append(site)
+    commands = []
+    for (seconds, density, steps, methods), sites_of in alike.items():
+        for sites in dict.fromkeys(map(tuple, sites_of.values())):
+            options: dict[str, Any] = {"sites": sites, "seeds": [s for s, of in sites_of.items() if tuple(of) == sites]}
+            options |= {"seconds": seconds, "density": density, "steps": steps, "methods": methods}
+            commands.append(command_of("learning", **options))
+    return commands
+
+
+def in_order(rows: Sequence[Row]) -> list[Row]:
+    """As one command would have made them: by site, seed and method."""
+    return sorted(rows, key=lambda row: (row["run"]["site"], row["run"]["seed"], _number(row["run"]["method"])))
+
+
+def _number(method: str) -> int:
+    """Place in the order of `METHODS`; those that there are no more come last."""
+    return METHODS.index(method) if method in METHODS else len(METHODS)
+
+
 def parse() -> argparse.Namespace:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--sites", type=int, nargs="+", default=[501, 502, 503])
+    parser = site_parser(__doc__, sites=[501, 502, 503], seconds=90.0)
     parser.add_argument("--seeds", type=int, nargs="+", default=[0])
-    parser.add_argument("--seconds", type=float, default=90.0)
-    parser.add_argument("--density", type=float, default=1.2)
     parser.add_argument("--steps", type=int, default=350)
     parser.add_argument("--methods", nargs="+", choices=METHODS, default=list(DEFAULT_METHODS))
     parser.add_argument("--short", action="store_true", help="site 11, 40 s, 80 steps")
-    parser.add_argument("--fresh", action="store_true", help="forget the rows that were made before")
-    parser.add_argument("--cache", type=Path, default=Path("build/learning"))
-    parser.add_argument("--out", type=Path, default=Path("build/learning"))
+    parser.add_argument(
+        "--draw",
+        type=Path,
+        nargs="+",
+        metavar="FILE",
+        help="run nothing: join the rows of these files, of equal runs the first, and write all to --out",
+    )
     arguments = parser.parse_args()
     if arguments.short:
         arguments.sites, arguments.seeds, arguments.seconds, arguments.steps = [11], [0], 40.0, 80
     return arguments
 
 
-def command_of(arguments: argparse.Namespace) -> str:
-    """What to type for the same rows."""
-    lists = {name: " ".join(map(str, getattr(arguments, name))) for name in ("sites", "seeds", "methods")}
-    return (
-        f"python -m benchmarks.learning --sites {lists['sites']} --seeds {lists['seeds']} "
-        f"--seconds {arguments.seconds:g} --density {arguments.density:g} --steps {arguments.steps} "
-        f"--methods {lists['methods']}"
-    )
+def made(arguments: argparse.Namespace) -> list[Row]:
+    """The rows of all runs, each printed as soon as it is there."""
+    rows = []
+    for one in made_rows(arguments, "learning", runs_of(arguments), row):
+        rows.append(one)
+        print(f"site {one['run']['site']}, seed {one['run']['seed']}\n{table([one])}", flush=True)
+    return rows
+
+
+def drawn(arguments: argparse.Namespace) -> list[Row]:
+    """The rows of the files that were asked for, also written to one file."""
+    for path in arguments.draw:
+        if not read_rows(path):
+            raise SystemExit(f"{path}: no row says what was run")
+    rows = in_order(joined(arguments.draw))
+    write_rows(arguments.out / "learning.json", rows)
+    return rows
 
 
 def main() -> None:
     arguments = parse()
-
-    @cache
-    def site_of(number: int) -> Site:
-        return make_site(number, arguments.seconds, arguments.density, arguments.cache)
-
-    file = RowFile(arguments.out / "learning.json", fresh=arguments.fresh)
-    rows: list[Row] = []
-    for made in file.rows(runs_of(arguments), lambda run: row(site_of(run["site"]), run)):
-        rows.append(made)
-        print(f"site {made['run']['site']}, seed {made['run']['seed']}\n{table([made])}", flush=True)
-    (arguments.out / "learning.md").write_text(document(rows, command_of(arguments)), encoding="utf-8")
+    rows = drawn(arguments) if arguments.draw else made(arguments)
+    text = document(rows, "\n".join(commands_of(rows)))
+    (arguments.out / "learning.md").write_text(text, encoding="utf-8")
     draw(rows, arguments.out)
-    print(document(rows, command_of(arguments)))
+    print(text)
 
 
 if __name__ == "__main__":

@@ -4,13 +4,15 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from pathlib import Path
+from textwrap import indent
 from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from benchmarks.learning_rows import Row, mean_of
+from benchmarks.learning_rows import Row, mean_of, versions
+from benchmarks.learning_sites import CHOSEN_ON
 from wibam_core.evaluation.metrics import METRICS
 from wibam_core.report.results import PUBLISHED
 from wibam_core.report.style import (
@@ -41,20 +43,14 @@ _SIGNIFICANT = 0.01
 
 
 def document(rows: Sequence[Row], command: str) -> str:
-    """Markdown: the command, what was chosen on, and all tables."""
+    """Markdown: the command (one or more lines), what was chosen on, and all tables."""
     sites = sorted({row["run"]["site"] for row in rows})
-    chosen = sorted({row["run"]["site"] for row in rows if row["chosen_on"]})
-    seconds = rows[0]["run"]["seconds"]
-    about = f"Sites: {', '.join(map(str, sites))}; {seconds:g} s each. Means of the runs ± their standard deviation."
-    used = (
-        f"Used to choose methods and options, so that their figures flatter: {', '.join(map(str, chosen))}."
-        if chosen
-        else "No site was used to choose methods or options."
-    )
+    seconds = " or ".join(f"{one:g}" for one in sorted({row["run"]["seconds"] for row in rows}))
+    about = f"Sites: {', '.join(map(str, sites))}; {seconds} s each. Means of the runs ± their standard deviation."
     parts = [
         "# What fine-tuning gains",
-        f"{about} {used}",
-        f"    {command}",
+        f"{about} {caveats(rows)}",
+        indent(command, "    "),
         table(rows),
         *_titled(
             "BEV IoU against the baseline: runs in which it differs significantly (p < 0.01, bootstrap over vehicles).",
@@ -70,6 +66,17 @@ def document(rows: Sequence[Row], command: str) -> str:
         "![by distance](learning-distance.png)",
     ]
     return "\n\n".join(parts) + "\n"
+
+
+def caveats(rows: Sequence[Row]) -> str:
+    """What whoever reads figures of these rows should know: what was chosen on, and whether the code changed."""
+    chosen = sorted({row["run"]["site"] for row in rows if row.get("chosen_on") or row["run"]["site"] in CHOSEN_ON})
+    used = (
+        f"Used to choose methods and options, so that their figures flatter: {', '.join(map(str, chosen))}."
+        if chosen
+        else "No site was used to choose methods or options."
+    )
+    return f"{used} {versions(rows)}".rstrip()
 
 
 def methods_of(rows: Sequence[Row]) -> list[str]:

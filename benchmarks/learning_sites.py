@@ -15,6 +15,7 @@ import numpy as np
 from wibam_core.config import EvaluateConfig, FinetuneConfig, PipelineConfig
 from wibam_core.dataset.split import Split
 from wibam_core.evaluation.evaluate import Evaluation, Mode, evaluate
+from wibam_core.evaluation.instants import exposure_times
 from wibam_core.evaluation.labels_at import LabelTimeline
 from wibam_core.evaluation.matching import assign, match_on_ground
 from wibam_core.evaluation.metrics import METRICS, compare
@@ -43,7 +44,7 @@ from wibam_core.training.dataset import SiteView, site_views
 from wibam_core.training.finetune import SiteDataset, finetune
 
 #: Sites that were looked at while methods and options were chosen: their figures flatter what was chosen.
-CHOSEN_ON = frozenset({11, 12, 21, 22})
+CHOSEN_ON = frozenset({11, 12, 13, 21, 22})
 #: A true vehicle farther than this from a cluster of rays is another one, m.
 _SAME_VEHICLE_M = 3.0
 
@@ -191,7 +192,7 @@ def detections(site: Site, trained: Trained) -> list[Vehicles3D]:
 
 def evaluation(site: Site, found: Sequence[Vehicles3D], mode: Mode = "correct") -> Evaluation:
     """Detections of the test part against the truth, each frame at its own time of exposure."""
-    exposed = {(i.time_ns, camera): time for i in site.test_frames for camera, time in i.frame_times_ns.items()}
+    exposed = exposure_times(site.test_frames)
     at_exposure = [replace(v, time_ns=exposed[v.time_ns, str(v.camera_id)]) for v in found]
     return evaluate(at_exposure, site.labels, site.rig, EvaluateConfig(), mode)
 

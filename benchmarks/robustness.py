@@ -14,25 +14,25 @@ from __future__ import annotations
 import argparse
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
-from functools import cache
-from pathlib import Path
 
 import cv2
 import numpy as np
 from matplotlib.figure import Figure
 
-from benchmarks.learning_report import save
-from benchmarks.learning_rows import Row, RowFile, Run, mean_of
-from benchmarks.learning_sites import CHOSEN_ON, Figures, Site, figures, finetuned_on, label_figures, make_site, views
+from benchmarks.learning_options import command_of, made_rows, site_parser
+from benchmarks.learning_report import caveats, save
+from benchmarks.learning_rows import Row, Run, mean_of
+from benchmarks.learning_sites import CHOSEN_ON, Figures, Site, figures, finetuned_on, label_figures, views
 from wibam_core.association.associate import associate
 from wibam_core.config import AssociateConfig, DatasetConfig, FinetuneConfig, LiftConfig
-from wibam_core.dataset.split import at_rate, split_in_time
+from wibam_core.dataset.split import split_in_time
 from wibam_core.formats.annotations import read_annotations
 from wibam_core.geometry.camera import Camera
 from wibam_core.geometry.se3 import SE3
 from wibam_core.lifting.lift import lift
 from wibam_core.report.style import FINETUNED, TRUTH, new_figure, tidy
 from wibam_core.scene import AnnotatedInstant, CameraRig
+from wibam_core.stages.lift import as_labels, thinned
 
 POSES_DEG = (0.1, 0.3, 1.0)
 CLOCKS_MS = (10.0, 20.0, 60.0)
@@ -73,15 +73,11 @@ def with_wrong_clocks(
 
 
 def refitted(site: Site, rig: CameraRig, detected: Sequence[AnnotatedInstant]) -> Site:
-    """The site as it is with these cameras and times."""
+    """The site as it is with these cameras and times: what a job's stages from association to the fits make of it."""
     instants = associate(detected, rig, AssociateConfig())
     split = split_in_time(instants, DatasetConfig())
-    times = np.array([instant.time_ns for instant in instants], np.int64)
-    fitted = {*split.subset_of(), *at_rate(times, LiftConfig().rate_hz).tolist()}
-    lifted = lift([instant for instant in instants if instant.time_ns in fitted], rig, LiftConfig()).vehicles
-    left_out = {time: list(split.left_out_tracks[part]) for time, part in split.subset_of().items()}
-    lifts = [v.where(~np.isin(v.ids, left_out[v.time_ns])) for v in lifted if v.time_ns in left_out]
-    return replace(site, rig=rig, instants=instants, lifts=lifts, split=split)
+    lifted = lift(thinned(instants, split, LiftConfig().rate_hz), rig, LiftConfig()).vehicles
+    return replace(site, rig=rig, instants=instants, lifts=as_labels(lifted, split), split=split)
 
 
 def disturbed(site: Site, kind: str, amount: float, draw: int) -> Site:
@@ -138,7 +134,8 @@ def document(rows: Sequence[Row], command: str) -> str:
     sites = ", ".join(str(site) for site in sorted({row["run"]["site"] for row in rows}))
     parts = [
         "# What wrong calibrations and clocks cost",
-        f"Fits to all views against the truth, nothing refined; sites: {sites}; mean ± s.d. over sites and draws.",
+        f"Fits to all views against the truth, nothing refined; sites: {sites}; mean ± s.d. over sites and draws. "
+        f"{caveats(rows)}",
         f"    {command}",
     ]
     has_trained = any("trained" in row for row in rows)
@@ -180,36 +177,19 @@ def curves_figure(rows: Sequence[Row]) -> Figure:
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--sites", type=int, nargs="+", default=[11, 12])
+    parser = site_parser(__doc__, sites=[11, 12], seconds=90.0)
     parser.add_argument("--poses-deg", type=float, nargs="+", default=list(POSES_DEG))
     parser.add_argument("--clocks-ms", type=float, nargs="+", default=list(CLOCKS_MS))
     parser.add_argument("--draws", type=int, default=3)
-    parser.add_argument("--seconds", type=float, default=90.0)
-    parser.add_argument("--density", type=float, default=1.2)
     parser.add_argument("--train", action="store_true", help="also fine-tune on every draw's fits")
     parser.add_argument("--steps", type=int, default=350)
-    parser.add_argument("--fresh", action="store_true", help="forget the rows that were made before")
-    parser.add_argument("--cache", type=Path, default=Path("build/learning"))
-    parser.add_argument("--out", type=Path, default=Path("build/learning"))
     arguments = parser.parse_args()
-
-    @cache
-    def site_of(number: int) -> Site:
-        return make_site(number, arguments.seconds, arguments.density, arguments.cache)
-
-    file = RowFile(arguments.out / "robustness.json", fresh=arguments.fresh)
     rows: list[Row] = []
-    for made in file.rows(runs_of(arguments), lambda run: row(site_of(run["site"]), run)):
+    for made in made_rows(arguments, "robustness", runs_of(arguments), row):
         rows.append(made)
         print({**made["run"], **{name: mean_of(made, name) for name in SHOWN}}, flush=True)
-    lists = {name: " ".join(f"{one:g}" for one in getattr(arguments, name)) for name in ("poses_deg", "clocks_ms")}
-    command = (
-        f"python -m benchmarks.robustness --sites {' '.join(map(str, arguments.sites))} --draws {arguments.draws} "
-        f"--poses-deg {lists['poses_deg']} --clocks-ms {lists['clocks_ms']} --seconds {arguments.seconds:g} "
-        f"--density {arguments.density:g}" + (f" --train --steps {arguments.steps}" if arguments.train else "")
-    )
-    text = document(rows, command)
+    typed = ("sites", "draws", "poses_deg", "clocks_ms", "seconds", "density", "train", *(["steps"] * arguments.train))
+    text = document(rows, command_of("robustness", **{name: getattr(arguments, name) for name in typed}))
     (arguments.out / "robustness.md").write_text(text, encoding="utf-8")
     save(curves_figure(rows), arguments.out / "robustness.png")
     print(text)

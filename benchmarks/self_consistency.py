@@ -14,16 +14,15 @@ from __future__ import annotations
 import argparse
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
-from functools import cache
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 from matplotlib.figure import Figure
 from scipy import stats
 
-from benchmarks.learning_report import save
-from benchmarks.learning_rows import Row, RowFile, Run, mean_of
+from benchmarks.learning_options import command_of, made_rows, site_parser
+from benchmarks.learning_report import caveats, save
+from benchmarks.learning_rows import Row, Run, mean_of
 from benchmarks.learning_sites import (
     CHOSEN_ON,
     Figures,
@@ -33,10 +32,10 @@ from benchmarks.learning_sites import (
     detections,
     evaluation,
     finetuned_on,
-    make_site,
     views,
 )
 from wibam_core.config import EvaluateConfig, FinetuneConfig
+from wibam_core.evaluation.instants import exposure_times
 from wibam_core.evaluation.matching import match_on_ground
 from wibam_core.evaluation.metrics import METRICS, compare
 from wibam_core.evaluation.self_consistency import Agreement, agreements, roughness, self_consistency
@@ -89,9 +88,9 @@ def made_by(site: Site, recipe: Recipe) -> Trained:
     return finetuned_on(site, train, validation, FinetuneConfig(**options))
 
 
-def row(site: Site, recipe: Recipe) -> Figures:
+def row(site: Site, run: Run) -> Figures:
     """Both sides of one network: of its test part as a whole, and of each vehicle in it."""
-    found = detections(site, made_by(site, recipe))
+    found = detections(site, made_by(site, Recipe(**run["recipe"])))
     consistency = self_consistency(found, site.of("test"), site.rig)
     truth = summarise(evaluation(site, found))
     return {
@@ -130,7 +129,7 @@ def of_vehicles(site: Site, found: Sequence[Vehicles3D]) -> list[dict[str, float
 
 def _true_figures(site: Site, found: Sequence[Vehicles3D]) -> dict[_Key, tuple[float, float]]:
     """(instant, camera, row) -> BEV IoU and ATE of every detection that is a true vehicle."""
-    exposed = {(i.time_ns, camera): time for i in site.test_frames for camera, time in i.frame_times_ns.items()}
+    exposed = exposure_times(site.test_frames)
     result: dict[_Key, tuple[float, float]] = {}
     for vehicles in found:
         camera_id = str(vehicles.camera_id)
@@ -209,7 +208,7 @@ def document(rows: Sequence[Row], command: str) -> str:
         )
     about = (
         "Spearman's / Pearson's correlation (number of pairs; of one site or network: mean over so many). IoU in "
-        "other views should rise with BEV IoU and fall with ATE, roughness the other way round."
+        f"other views should rise with BEV IoU and fall with ATE, roughness the other way round. {caveats(rows)}"
     )
     parts = ("# Does self-consistency tell the true error?", about, f"    {command}", "\n".join(lines))
     return "\n\n".join((*parts, "\n".join(table), "![networks and vehicles](self-consistency.png)\n"))
@@ -249,32 +248,16 @@ def runs_of(arguments: argparse.Namespace) -> Iterator[Run]:
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--sites", type=int, nargs="+", default=[11, 12, 21, 22])
+    parser = site_parser(__doc__, sites=[11, 12, 21, 22], seconds=90.0)
     parser.add_argument("--networks", nargs="+", choices=RECIPES, default=list(RECIPES))
     parser.add_argument("--most-steps", type=int, default=350, help="no network is trained for longer")
-    parser.add_argument("--seconds", type=float, default=90.0)
-    parser.add_argument("--density", type=float, default=1.2)
-    parser.add_argument("--fresh", action="store_true", help="forget the rows that were made before")
-    parser.add_argument("--cache", type=Path, default=Path("build/learning"))
-    parser.add_argument("--out", type=Path, default=Path("build/learning"))
     arguments = parser.parse_args()
-
-    @cache
-    def site_of(number: int) -> Site:
-        return make_site(number, arguments.seconds, arguments.density, arguments.cache)
-
-    file = RowFile(arguments.out / "self-consistency.json", fresh=arguments.fresh)
     rows: list[Row] = []
-    for made in file.rows(runs_of(arguments), lambda run: row(site_of(run["site"]), Recipe(**run["recipe"]))):
+    for made in made_rows(arguments, "self-consistency", runs_of(arguments), row):
         rows.append(made)
         print({**made["run"], **{name: mean_of(made, name) for name in (*MEASURES, *TRUTHS)}}, flush=True)
-    command = (
-        f"python -m benchmarks.self_consistency --sites {' '.join(map(str, arguments.sites))} "
-        f"--networks {' '.join(arguments.networks)} --most-steps {arguments.most_steps} "
-        f"--seconds {arguments.seconds:g} --density {arguments.density:g}"
-    )
-    text = document(rows, command)
+    typed = ("sites", "networks", "most_steps", "seconds", "density")
+    text = document(rows, command_of("self_consistency", **{name: getattr(arguments, name) for name in typed}))
     (arguments.out / "self-consistency.md").write_text(text, encoding="utf-8")
     save(scatter_figure(rows), arguments.out / "self-consistency.png")
     print(text)

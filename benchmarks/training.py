@@ -48,7 +48,7 @@ from wibam_core.synthetic.traffic import Trajectory, simulate_traffic
 from wibam_core.training.augment import jitter_colour, mirror, shake
 from wibam_core.training.dataset import ImageCache, site_views
 from wibam_core.training.device import Precision
-from wibam_core.training.finetune import SiteDataset, finetune
+from wibam_core.training.finetune import SHAKEN_SHARE, SiteDataset, finetune
 from wibam_core.training.multiview import NEAR_M, OtherViews, multiview_loss
 from wibam_core.training.objectives import OtherCameras
 from wibam_core.training.targets import encode
@@ -65,8 +65,6 @@ RATE_HZ = 2.5
 MOMENTS = 12
 #: Measured steps and batches of a round.
 STEPS = 10
-#: Of the views, as in fine-tuning.
-SHAKEN_SHARE = 0.3
 
 
 # --- a site -------------------------------------------------------------------------------------

@@ -48,8 +48,8 @@ class DetectConfig(StageConfig):
     nms_iou: float = Field(0.6, gt=0, lt=1)
     refine: Literal["auto", "on", "off"] = Field(
         "auto",
-        description="look at every box again against the camera's still background, for sharper edges; 'auto': with the"
-        " bundled detector",
+        description="look at every box again beside the still background of its camera, which must not move, for"
+        " sharper edges; 'auto': with the bundled detector, whose classes it corrects as well",
     )
 
 
@@ -116,6 +116,14 @@ class FinetuneConfig(StageConfig):
     )
     steps_per_epoch: int = Field(50, ge=1, description="a checkpoint and a validation after each")
     seed: int = Field(0, ge=0, le=2**63 - 1)
+
+    @pydantic.field_validator("decode")
+    @classmethod
+    def _has_uncertainties(cls, value: str, info: pydantic.ValidationInfo) -> str:
+        if value == "fused" and info.data.get("method") == "paper":
+            message = "method 'paper' teaches no uncertainties to fuse by, only 'plane' and 'depth' are possible"
+            raise pydantic_core.PydanticCustomError("no_uncertainties", "{message}", {"message": message})
+        return value
 
     @pydantic.field_validator("network")
     @classmethod

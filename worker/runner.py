@@ -236,6 +236,8 @@ class StageRunner:
 
     def _request(self, job: Job, stage: StageRun, attempt: Attempt) -> StageRequest:
         spec = STAGES[stage.name]
+        config = PipelineConfig.parse(job.options)
+        assets = spec.assets_read(config)
         upstream: dict[str, Path] = {}
         for name in spec.requires:
             required = job.stage(name)
@@ -246,9 +248,9 @@ class StageRunner:
         return StageRequest(
             stage=stage.name,
             site=job.site,
-            config=PipelineConfig.parse(job.options),
+            config=config,
             recordings={camera: self._folder.file(file) for camera, file in job.recordings.items()},
-            assets={name: self._folder.file(file) for name, file in job.assets.items() if name in spec.assets},
+            assets={name: self._folder.file(file) for name, file in job.assets.items() if name in assets},
             upstream=upstream,
             output=attempt.output,
             scratch=attempt.scratch,

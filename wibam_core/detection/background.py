@@ -40,7 +40,9 @@ def still_background(images: Sequence[Image], boxes: Sequence[FloatArray]) -> St
         images: (H, W, 3) uint8 BGR of one camera, up to some minutes around the time of interest.
         boxes: of each image, (N, 4) xyxy px.
     """
-    stack = np.stack(images, axis=-1)
+    stack = np.empty((*images[0].shape, len(images)), np.uint8)
+    for number, image in enumerate(images):
+        stack[..., number] = image
     free = np.ones((*stack.shape[:2], len(images)), bool)
     for number, found in enumerate(boxes):
         margin = _MARGIN_PX + _MARGIN_SHARE * (found[:, 2:] - found[:, :2])

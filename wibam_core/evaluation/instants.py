@@ -1,9 +1,12 @@
-"""Which instants of the test part are evaluated: those of the split, and others where only those are labelled."""
+"""Which instants of the test part are evaluated: those of the split, and others where only those are labelled.
+
+And when each of their frames was exposed.
+"""
 
 from __future__ import annotations
 
 from bisect import bisect_right
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 
 import numpy as np
 
@@ -43,6 +46,11 @@ def evaluated_instants(
             )
     added = [instant for _, instant in nearest.values()]
     return sorted([*chosen, *added], key=lambda instant: instant.time_ns)
+
+
+def exposure_times(instants: Iterable[FrameSet]) -> dict[tuple[int, str], int]:
+    """(instant, camera id) -> when that camera exposed its frame of the instant; all times in ns, reference clock."""
+    return {(one.time_ns, camera_id): time for one in instants for camera_id, time in one.frame_times_ns.items()}
 
 
 def _is_labelled(instant: FrameSet, labels: LabelTimeline) -> bool:

@@ -133,18 +133,26 @@ def _plane_share(seen_by: CameraTensors, values: PeakValues, height_m: Tensor, d
     if decode == "plane":
         return torch.ones_like(height_m)
     with torch.no_grad():
-        scale = _deviations(values)
-        pixels = centres3d_px(values)
-        directions = rays(seen_by, pixels)
-        step = torch.zeros_like(pixels)
-        step[:, 1] = scale[:, 0] * STRIDE
-        higher = _reach_of_plane(seen_by, rays(seen_by, pixels - step), height_m / 2)
-        lower = _reach_of_plane(seen_by, rays(seen_by, pixels + step), height_m / 2)
-        taller = _reach_of_plane(seen_by, directions, height_m / 2 * (1 + scale[:, 2]))
-        reach = _reach_of_plane(seen_by, directions, height_m / 2)
-        of_plane = ((higher - lower) / 2).square() + (taller - reach).square()
-        of_depth = (reach * scale[:, 1]).square()
-        return of_depth / (of_plane + of_depth)
+        deviation = _deviations(values)
+        directions, higher, lower = _rays_within(seen_by, values, deviation)
+
+        def reach(rays: Tensor, height_m: Tensor) -> Tensor:
+            return _reach_of_plane(seen_by, rays, height_m / 2)
+
+        of_pixel = (reach(higher, height_m) - reach(lower, height_m)) / 2
+        of_height = reach(directions, height_m * (1 + deviation[:, 2])) - reach(directions, height_m)
+        of_plane = of_pixel.square() + of_height.square()
+        of_depth = (reach(directions, height_m) * deviation[:, 1]).square()
+        share = of_depth / (of_plane + of_depth)
+        return torch.where(_grazes(higher), torch.zeros_like(share), share)
+
+
+def _rays_within(seen_by: CameraTensors, values: PeakValues, deviation: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+    """Rays (N, 3) through the projected 3D centres, and those one standard deviation above and below in the image."""
+    pixels = centres3d_px(values)
+    down = torch.zeros_like(pixels)
+    down[:, 1] = deviation[:, 0] * STRIDE
+    return rays(seen_by, pixels), rays(seen_by, pixels - down), rays(seen_by, pixels + down)
 
 
 def centres3d_px(values: PeakValues) -> Tensor:
@@ -159,8 +167,17 @@ def focal_px(cameras: CameraTensors) -> Tensor:
 
 def _reach_of_plane(cameras: CameraTensors, directions: Tensor, height_m: Tensor) -> Tensor:
     """(N,) how many times their length rays (N, 3) reach until they meet the planes z = height_m (N,)."""
-    descent = torch.minimum(directions[:, 2], -_MIN_DESCENT * torch.linalg.norm(directions[:, :2], dim=-1))
+    descent = torch.minimum(directions[:, 2], _least_descent(directions))
     return (height_m - cameras.centre_m[:, 2]) / descent
+
+
+def _least_descent(directions: Tensor) -> Tensor:
+    return -_MIN_DESCENT * torch.linalg.norm(directions[:, :2], dim=-1)
+
+
+def _grazes(directions: Tensor) -> Tensor:
+    """(N,) whether rays (N, 3) are so close to the horizon that they tell nothing of where they meet a plane."""
+    return directions[:, 2] > _least_descent(directions)
 
 
 def _deviations(values: PeakValues) -> Tensor:
@@ -182,7 +199,8 @@ def standard_deviations(values: PeakValues, boxes: Tensor, cameras: CameraTensor
     """(N, 7) standard deviations of boxes (N, 7) in m and rad, from the regressed scales.
 
     The centre's follows from one standard deviation of the projected 3D centre, moved along the ray as the decoding
-    moves it, and, unless the plane alone decides, one of the depth.
+    moves it, and, unless the plane alone decides, one of the depth. Where the plane alone decides and may lie beyond
+    the horizon, it is the whole distance.
     """
     scale = _deviations(values)
     size_sd = boxes[:, 3:6] * scale[:, 2:3]
@@ -202,6 +220,10 @@ def standard_deviations(values: PeakValues, boxes: Tensor, cameras: CameraTensor
     variance = spread("centre3d", steps[0]) + spread("centre3d", steps[1])
     if decode != "plane":
         variance = variance + spread("depth", scale[:, 1])
+    else:
+        _, higher, _ = _rays_within(seen_by, values, scale)
+        away = (boxes[:, :3] - seen_by.centre_m).square()
+        variance = variance + torch.where(_grazes(higher)[:, None], away, torch.zeros_like(away))
     z_sd = variance[:, 2:].sqrt() if decode == "depth" else size_sd[:, 2:] / 2
     return torch.cat([variance[:, :2].sqrt(), z_sd, size_sd, scale[:, 3:4].clamp(max=torch.pi)], dim=-1)
 

@@ -17,6 +17,7 @@ from wibam_core.models.detector2d import Detector2D, ExportedDetector2D
 from wibam_core.models.refiner2d import Refiner2D
 from wibam_core.models.small import INPUT_WIDTH_PX, REFERENCE_FOCAL_PX, UNCERTAINTY_GROUPS, SmallNetwork, SmallOutputs
 from wibam_core.models.trunk import INPUT_MULTIPLE, STRIDE
+from wibam_core.models.usage import Usage
 from wibam_core.scene import CLASSES
 
 #: The small network's outputs in a file, named as the fields of `SmallOutputs`, and how many channels each has.
@@ -85,17 +86,18 @@ def export_refiner2d(refiner: Refiner2D, path: Path, crop_px: int) -> None:
     _write(model, path)
 
 
-def export_small(network: SmallNetwork, path: Path) -> None:
+def export_small(network: SmallNetwork, path: Path, usage: Usage | None = None) -> None:
     """Write the small network as one ONNX file, whole or not at all; see `small_onnx`."""
-    _write(small_onnx(network), path)
+    _write(small_onnx(network, usage), path)
 
 
-def small_onnx(network: SmallNetwork) -> bytes:
+def small_onnx(network: SmallNetwork, usage: Usage | None = None) -> bytes:
     """The small network, in evaluation mode, as an ONNX file. It may be on any device and stays as it is.
 
     Input ``image`` (B, 3, H, W) float32, BGR in 0..1, H and W multiples of 32; B, H and W are dynamic. One output per
     field of `SmallOutputs`, with its name: float32 maps (B, C, H/4, W/4) as the heads give them, heat as logits.
-    Metadata: `small_metadata`, and ``mean_sizes_m``, the classes' mean lengths, widths and heights in m (JSON).
+    Metadata: `small_metadata`, and ``mean_sizes_m``, the classes' mean lengths, widths and heights in m (JSON); where
+    ``usage`` is given, ``decode`` and ``sd_factors``, see `Usage`.
     """
     grid = {0: "batch", 2: "rows", 3: "columns"}
     return _onnx(
@@ -103,7 +105,11 @@ def small_onnx(network: SmallNetwork) -> bytes:
         torch.zeros(1, 3, 2 * INPUT_MULTIPLE, 2 * INPUT_MULTIPLE),
         tuple(SMALL_CHANNELS),
         {"image": {0: "batch", 2: "height", 3: "width"}, **dict.fromkeys(SMALL_CHANNELS, grid)},
-        {**small_metadata(), "mean_sizes_m": json.dumps(network.mean_sizes_m.tolist())},
+        {
+            **small_metadata(),
+            "mean_sizes_m": json.dumps(network.mean_sizes_m.tolist()),
+            **({} if usage is None else usage.metadata()),
+        },
     )
 
 

@@ -13,6 +13,7 @@ from torch import Tensor
 from wibam_core.errors import InvalidWeights
 from wibam_core.models.export import SMALL_CHANNELS, small_metadata, small_onnx
 from wibam_core.models.small import SmallNetwork, SmallOutputs
+from wibam_core.models.usage import SMALL_DECODES, Usage
 from wibam_core.scene import CLASSES
 
 _EXPECTED = "Give the ONNX file of a fine-tuned model as it was exported, or its safetensors file."
@@ -30,12 +31,14 @@ class OnnxNetwork:
 
     Attributes:
         mean_sizes_m: (4, 3) mean length, width, height per class, float32.
+        usage: how the file says that it is to be used.
 
     Raises:
         InvalidWeights: it cannot be run, or is another network.
     """
 
     mean_sizes_m: Tensor
+    usage: Usage
 
     def __init__(self, content: bytes, source: str, threads: int | None = None) -> None:
         options = onnxruntime.SessionOptions()
@@ -51,6 +54,7 @@ class OnnxNetwork:
         _check_metadata(source, metadata)
         _check_ends(source, self._session)
         self.mean_sizes_m = _mean_sizes_m(source, metadata.get("mean_sizes_m", ""))
+        self.usage = Usage.of(source, metadata, SMALL_DECODES)
 
     @classmethod
     def load(cls, path: Path, threads: int | None = None) -> OnnxNetwork:
@@ -61,7 +65,7 @@ class OnnxNetwork:
 
     @classmethod
     def of(cls, network: SmallNetwork, threads: int | None = None) -> OnnxNetwork:
-        """A network of torch's, as it is now."""
+        """A network of torch's, as it is now; it says nothing of its usage."""
         return cls(small_onnx(network), "the exported network", threads)
 
     def __call__(self, images: Tensor) -> SmallOutputs:

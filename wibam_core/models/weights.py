@@ -17,6 +17,7 @@ from wibam_core.errors import InvalidWeights
 from wibam_core.models.centertrack import NUSCENES_CLASSES
 from wibam_core.models.dla34 import DLA34
 from wibam_core.models.small import SmallNetwork
+from wibam_core.models.usage import DLA34_DECODES, SMALL_DECODES, Usage
 from wibam_core.scene import CLASSES
 
 _FAMILY = "wibam-small"
@@ -51,7 +52,7 @@ def save_network(network: Monocular, path: Path, origin: Mapping[str, str] = Map
     Args:
         network: of either family, on any device.
         path: of the file.
-        origin: what else the file is to say about itself, see `origin_of`.
+        origin: what else the file is to say about itself, see `origin_of` and `Usage.metadata`.
     """
     temporary = path.with_name(path.name + ".tmp")
     state = {name: value.detach().cpu().contiguous() for name, value in network.state_dict().items()}
@@ -63,6 +64,16 @@ def save_network(network: Monocular, path: Path, origin: Mapping[str, str] = Map
 def origin_of(path: Path) -> dict[str, str]:
     """What a weights file says about where it comes from and its licence, to be said of what is made of it, too."""
     return {key: value for key, value in _read_metadata(path).items() if key not in metadata()}
+
+
+def usage_of(path: Path) -> Usage:
+    """How the network in a weights file is to be used.
+
+    Raises:
+        InvalidWeights: the file says what cannot be, or cannot be read.
+    """
+    said = _read_metadata(path)
+    return Usage.of(path.name, said, DLA34_DECODES if said.get("family") == _CENTERTRACK_FAMILY else SMALL_DECODES)
 
 
 def load_network(path: Path) -> SmallNetwork:

@@ -33,17 +33,17 @@ def run(context: StageContext, config: DetectConfig) -> Summary:
     store = FrameStore(context.upstream["frames"])
     refined = config.refine == "on" or (config.refine == "auto" and config.detector == "bundled")
     instants = list(_detect_all(store, detector, part(context.progress, 0.0, 0.5 if refined else 1.0)))
+    frames = sum(len(instant.detections) for instant in instants)
+    if not any(len(seen) for instant in instants for seen in instant.detections.values()):
+        raise NoVehicles(f"no vehicle was detected in {frames} frames of {len(store.camera_ids)} cameras")
     if refined:
-        instants = list(refine_all(store, instants, part(context.progress, 0.5, 1.0)))
+        instants = list(refine_all(store, instants, config, part(context.progress, 0.5, 1.0)))
     boxes: Counter[str] = Counter()
     classes: Counter[str] = Counter()
     for instant in instants:
         for camera_id, seen in instant.detections.items():
             boxes[camera_id] += len(seen)
             classes.update(CLASSES[number].value for number in seen.classes)
-    frames = sum(len(instant.detections) for instant in instants)
-    if not boxes.total():
-        raise NoVehicles(f"no vehicle was detected in {frames} frames of {len(store.camera_ids)} cameras")
     write_annotations(context.output / "detections.parquet", instants)
     return {
         "frames": frames,

@@ -7,6 +7,9 @@ from collections.abc import Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from functools import partial
 
+import numpy as np
+
+from wibam_core.config import DetectConfig
 from wibam_core.detection.background import StillBackground, still_background
 from wibam_core.detection.boxes import Found
 from wibam_core.detection.refine import EdgeRefiner
@@ -20,14 +23,15 @@ _FRAMES = 32
 
 
 def refine_all(
-    store: FrameStore, instants: Sequence[AnnotatedInstant], progress: Progress
+    store: FrameStore, instants: Sequence[AnnotatedInstant], config: DetectConfig, progress: Progress
 ) -> Iterator[AnnotatedInstant]:
     """The instants, in order, with sharper boxes.
 
     Args:
         store: the frames of the instants.
         instants: with detections, no vehicles yet; ascending.
-        progress: told after every block of some minutes.
+        config: which detector it was, and what counts as found twice.
+        progress: told now and then.
     """
     refiner = EdgeRefiner()
     done = 0
@@ -35,7 +39,7 @@ def refine_all(
         for block in _blocks(instants):
             cameras = sorted({camera_id for instant in block for camera_id in instant.detections})
             backgrounds = dict(zip(cameras, pool.map(partial(_background, store, block), cameras), strict=True))
-            for instant in pool.map(partial(_refined, store, refiner, backgrounds), block):
+            for instant in pool.map(partial(_refined, store, refiner, backgrounds, config), block):
                 yield instant
                 done += 1
                 if done % 50 == 0 or done == len(instants):
@@ -55,19 +59,30 @@ def _blocks(instants: Sequence[AnnotatedInstant]) -> list[list[AnnotatedInstant]
 
 def _background(store: FrameStore, block: Sequence[AnnotatedInstant], camera_id: str) -> StillBackground:
     there = [instant for instant in block if camera_id in instant.detections]
-    chosen = there[:: max(1, len(there) // _FRAMES)][:_FRAMES]
+    places = np.linspace(0, len(there) - 1, min(len(there), _FRAMES)).round().astype(int)
+    chosen = [there[place] for place in np.unique(places).tolist()]
     images = [store.image(camera_id, instant.time_ns) for instant in chosen]
     boxes = [store.to_stored_px(camera_id, instant.detections[camera_id].boxes) for instant in chosen]
     return still_background(images, boxes)
 
 
 def _refined(
-    store: FrameStore, refiner: EdgeRefiner, backgrounds: Mapping[str, StillBackground], instant: AnnotatedInstant
+    store: FrameStore,
+    refiner: EdgeRefiner,
+    backgrounds: Mapping[str, StillBackground],
+    config: DetectConfig,
+    instant: AnnotatedInstant,
 ) -> AnnotatedInstant:
     def refine(seen: Detections2D) -> Detections2D:
         image = store.image(seen.camera_id, instant.time_ns)
         boxes = store.to_stored_px(seen.camera_id, seen.boxes)
-        found = refiner.refine(image, backgrounds[seen.camera_id], Found(boxes, seen.scores, seen.classes))
+        found = refiner.refine(
+            image,
+            backgrounds[seen.camera_id],
+            Found(boxes, seen.scores, seen.classes),
+            nms_iou=config.nms_iou,
+            classify=config.detector == "bundled",  # other detectors know vehicles from more than simulation
+        )
         native = store.to_native_px(seen.camera_id, found.boxes)
         return Detections2D(seen.camera_id, seen.frame_time_ns, native, found.scores, found.classes)
 

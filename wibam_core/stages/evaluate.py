@@ -8,12 +8,10 @@ from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
 
-import torch
-
 from wibam_core.config import EvaluateConfig
 from wibam_core.errors import TooFewInstants
 from wibam_core.evaluation.evaluate import Evaluation, evaluate
-from wibam_core.evaluation.instants import evaluated_instants
+from wibam_core.evaluation.instants import evaluated_instants, exposure_times
 from wibam_core.evaluation.labels_at import LabelTimeline
 from wibam_core.evaluation.reliability import reliability
 from wibam_core.evaluation.self_consistency import self_consistency
@@ -35,7 +33,7 @@ from wibam_core.models.weights import bundled, load_monocular
 from wibam_core.progress import Progress, part
 from wibam_core.scene import CameraRig, FrameSet, Vehicles3D
 from wibam_core.stages.base import StageContext, Summary
-from wibam_core.training.device import choose_device
+from wibam_core.training.device import DeviceOption, choose_device_to_detect
 
 #: Figures of parts of the labelled vehicles, by their names in the metrics.
 _BREAKDOWNS = {
@@ -76,7 +74,7 @@ def run(context: StageContext, config: EvaluateConfig) -> Summary:
     finetune = context.upstream["finetune"]
     as_learned = SdFactors()
     curves = json.loads((finetune / "curves.json").read_text(encoding="utf-8"))
-    device = choose_device(curves.get("device", "auto"))
+    trained_on = curves.get("device", "auto")
     custom = curves.get("network") == "custom"
     start = context.assets["network"] if custom else bundled("mono_small.safetensors")
     methods = (
@@ -88,7 +86,7 @@ def run(context: StageContext, config: EvaluateConfig) -> Summary:
     for number, method in enumerate(methods):
         progress = part(context.progress, number / len(methods), (number + 1) / len(methods))
         min_score = min(_KEPT_SCORE, config.min_score)
-        predictions[method.name] = _detect(method, store, instants, rig, min_score, device, progress)
+        predictions[method.name] = _detect(method, store, instants, rig, min_score, trained_on, progress)
     for name in ("baseline", "finetuned"):
         write_vehicles3d(context.output / f"predictions_{name}.parquet", predictions[name])
     metrics = _metrics(context, config, rig, instants, predictions, labels)
@@ -127,18 +125,18 @@ def _detect(
     instants: Sequence[FrameSet],
     rig: CameraRig,
     min_score: float,
-    device: torch.device,
+    trained_on: DeviceOption,
     progress: Progress,
 ) -> list[Vehicles3D]:
     network = load_monocular(method.weights)
     frames = stored_frames(store, instants, rig)
     total = sum(len(rig.keys() & instant.frame_times_ns.keys()) for instant in instants)
     found = []
-    detected = (
-        predict_vehicles(network.to(device), frames, decode=method.decode, min_score=min_score)
-        if isinstance(network, DLA34)
-        else predict(OnnxNetwork.of(network), frames, decode=method.decode, min_score=min_score)
-    )
+    if isinstance(network, DLA34):
+        network.to(choose_device_to_detect(trained_on))
+        detected = predict_vehicles(network, frames, decode=method.decode, min_score=min_score)
+    else:
+        detected = predict(OnnxNetwork.of(network), frames, decode=method.decode, min_score=min_score)
     for vehicles in detected:
         found.append(method.factors.apply(vehicles))
         progress(len(found) / total, f"Detecting: {method.name.replace('_', ', ')}")
@@ -198,7 +196,7 @@ def _evaluations(
     """Correct and as published, by method; None where no frame of the test part is labelled."""
     if labels is None:
         return None
-    exposed = {(instant.time_ns, id_): time for instant in instants for id_, time in instant.frame_times_ns.items()}
+    exposed = exposure_times(instants)
     correct, published = {}, {}
     for name, found in predictions.items():
         at_exposure = [replace(v, time_ns=exposed[v.time_ns, str(v.camera_id)]) for v in found]

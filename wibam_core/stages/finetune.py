@@ -14,6 +14,7 @@ from wibam_core.formats.rig import read_rig
 from wibam_core.formats.vehicles3d import read_vehicles3d
 from wibam_core.models.export import export_small
 from wibam_core.models.small import SmallNetwork
+from wibam_core.models.usage import Usage
 from wibam_core.models.weights import bundled, load_centertrack, load_network, origin_of, save_network
 from wibam_core.stages.base import StageContext, Summary
 from wibam_core.stages.graph import require_network
@@ -26,6 +27,7 @@ from wibam_core.training.finetune import FinetuneResult, SiteDataset, finetune
 def run(context: StageContext, config: FinetuneConfig) -> Summary:
     """Write ``weights.safetensors``, the small network as ``weights.onnx``, too, and ``curves.json``.
 
+    The weights say themselves how boxes are to be placed and by how much their standard deviations err: see `Usage`.
     ``curves.json`` is ``{"method", "decode", "network", "device", "kept", "kept_step", "warnings": [sentence],
     "epochs": [{"step", "learning_rate", "train", "validation"}], "sd_factors"}``, where train and validation map the
     parts of the loss and ``total`` to their means, and `SdFactors` says what the network's standard deviations are to
@@ -39,9 +41,11 @@ def run(context: StageContext, config: FinetuneConfig) -> Summary:
     dataset, enough = _dataset(context, config)
     enough.require_any()
     result = finetune(network, dataset, config, context.progress, context.scratch)
-    save_network(result.network, context.output / "weights.safetensors", origin_of(start))
+    factors = asdict(sd_factors(result.network, dataset, config.decode))
+    usage = Usage(config.decode, factors)
+    save_network(result.network, context.output / "weights.safetensors", origin_of(start) | usage.metadata())
     if isinstance(result.network, SmallNetwork):
-        export_small(result.network, context.output / "weights.onnx")
+        export_small(result.network, context.output / "weights.onnx", usage)
     curves = {
         "method": config.method,
         "decode": config.decode,
@@ -51,9 +55,9 @@ def run(context: StageContext, config: FinetuneConfig) -> Summary:
         "kept_step": result.kept_step,
         "warnings": enough.warnings,
         "epochs": [asdict(epoch) for epoch in result.epochs],
-        "sd_factors": asdict(sd_factors(result.network, dataset, config.decode)),
+        "sd_factors": factors,
     }
-    (context.output / "curves.json").write_text(json.dumps(curves, indent=1), encoding="utf-8")
+    (context.output / "curves.json").write_text(json.dumps(curves, indent=1, allow_nan=False), encoding="utf-8")
     return _summary(dataset, result) | {"vehicles": enough.vehicles, "warnings": enough.warnings}
 
 

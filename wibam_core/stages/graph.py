@@ -55,7 +55,7 @@ class StageSpec:
         code: files and packages (relative to wibam_core/) whose change changes its outputs.
         site_part: what of the site description it depends on.
         reads_recordings: whether it opens the uploaded videos.
-        assets: other uploaded files that it reads where there are any.
+        assets: other uploaded files that it reads where there are any, and options do not say otherwise.
         only_checks_assets: whether those can make it fail, but change nothing that it writes.
         title: what it does, for a person.
     """
@@ -75,6 +75,10 @@ class StageSpec:
         assert isinstance(part, StageConfig)
         return part
 
+    def assets_read(self, config: PipelineConfig) -> tuple[str, ...]:
+        """Which of its ``assets`` it reads with these options: a site's own network only where they ask for it."""
+        return tuple(name for name in self.assets if name != "network" or config.finetune.network == "custom")
+
 
 _NETWORK = ("models", "detection")
 _SPECS = (
@@ -85,7 +89,7 @@ _SPECS = (
         ("video",),
         _sizes,
         reads_recordings=True,
-        assets=("labels",),
+        assets=("labels", "network"),
         only_checks_assets=True,
     ),
     StageSpec("sync", "Synchronise the cameras", ("preflight",), ("sync", "video"), _signals, reads_recordings=True),
@@ -105,7 +109,15 @@ _SPECS = (
         "finetune",
         "Fine-tune the 3D detector",
         ("calibrate", "frames", "associate", "dataset", "lift"),
-        ("models", "training", "evaluation/matching.py", "evaluation/metrics.py", "evaluation/uncertainty.py"),
+        (
+            "models",
+            "training",
+            "dataset/split.py",
+            "dataset/sufficiency.py",
+            "evaluation/matching.py",
+            "evaluation/metrics.py",
+            "evaluation/uncertainty.py",
+        ),
         assets=("network",),
     ),
     StageSpec(
@@ -186,7 +198,7 @@ def plan(site: Site, config: PipelineConfig, inputs: InputDigests) -> tuple[Plan
             "options": spec.config(config).model_dump(),
             "site": spec.site_part(site),
             "recordings": dict(inputs.recordings) if spec.reads_recordings else None,
-            "assets": {name: inputs.assets[name] for name in spec.assets if name in inputs.assets},
+            "assets": {name: inputs.assets[name] for name in spec.assets_read(config) if name in inputs.assets},
             "upstream": {name: contents[name] for name in spec.requires},
         }
         digest = _digest_of(facts)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Sequence
 
 import numpy as np
 
@@ -25,8 +26,8 @@ def run(context: StageContext, config: LiftConfig) -> Summary:
     rig = read_rig(context.upstream["calibrate"] / "rig.json")
     instants = read_annotations(context.upstream["associate"] / "annotations.parquet")
     split = Split.from_json(json.loads((context.upstream["dataset"] / "split.json").read_text(encoding="utf-8")))
-    result = lift(_thinned(instants, split, config.rate_hz), rig, config, context.progress)
-    labels = _labels(result.vehicles, split)
+    result = lift(thinned(instants, split, config.rate_hz), rig, config, context.progress)
+    labels = as_labels(result.vehicles, split)
     written = {name: sum(len(v) for v in labels if v.time_ns in set(split.times_ns[name])) for name in SUBSETS}
     statistics = result.statistics | {"written": written}
     write_vehicles3d(context.output / "lifts.parquet", labels)
@@ -34,8 +35,14 @@ def run(context: StageContext, config: LiftConfig) -> Summary:
     return statistics
 
 
-def _thinned(instants: list[AnnotatedInstant], split: Split, rate_hz: float) -> list[AnnotatedInstant]:
-    """The instants of the split, and others so that none is farther than a period from the next where there are any."""
+def thinned(instants: Sequence[AnnotatedInstant], split: Split, rate_hz: float) -> list[AnnotatedInstant]:
+    """The instants to fit: those of the split, and others so that none is farther than a period from the next.
+
+    Args:
+        instants: associated, in order of time.
+        split: all its instants are kept.
+        rate_hz: others are kept a period of it after the last that was.
+    """
     period_ns = 1e9 / rate_hz
     wanted = split.subset_of()
     kept: list[AnnotatedInstant] = []
@@ -45,7 +52,8 @@ def _thinned(instants: list[AnnotatedInstant], split: Split, rate_hz: float) -> 
     return kept
 
 
-def _labels(lifted: list[Vehicles3D], split: Split) -> list[Vehicles3D]:
+def as_labels(lifted: Sequence[Vehicles3D], split: Split) -> list[Vehicles3D]:
+    """The fits at the instants of the split, without the vehicles that are left out of their subset."""
     subset_of = split.subset_of()
     return [
         vehicles.where(

@@ -1,4 +1,4 @@
-"""Check the recordings, and the hand labels if there are any, before anything long begins."""
+"""Check the recordings, and the hand labels and the network if there are any, before anything long begins."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from dataclasses import asdict
 from pathlib import Path
 
 from wibam_core.config import PreflightConfig
-from wibam_core.errors import InputError, MissingCamera, NoOverlap, UnreadableVideo
+from wibam_core.errors import InputError, InvalidWeights, MissingCamera, NoOverlap, UnreadableVideo
 from wibam_core.formats.labels import read_labels
 from wibam_core.site import SiteCamera
 from wibam_core.stages.base import StageContext, Summary
@@ -18,7 +18,8 @@ def run(context: StageContext, config: PreflightConfig) -> Summary:
     """Write ``probe.json`` and ``limits.json``.
 
     ``probe.json``: camera id -> the fields of `wibam_core.video.probe.VideoInfo`. ``limits.json``: what can only be
-    checked once the clocks are known, ``{"min_overlap_s": ...}``. Labels are read and checked, no more.
+    checked once the clocks are known, ``{"min_overlap_s": ...}``. Labels, and a network of the site's own where the
+    options ask for it, are read and checked, no more.
 
     Raises:
         MissingCamera: cameras of the site without a recording.
@@ -26,11 +27,14 @@ def run(context: StageContext, config: PreflightConfig) -> Summary:
         InputError: a recording of another size than its calibration.
         NoOverlap: a recording shorter than the time that it must share with another.
         InvalidLabels: hand labels that cannot be used.
+        InvalidWeights: a network that fine-tuning cannot start from.
     """
     missing = [camera_id for camera_id in context.site.camera_ids if camera_id not in context.recordings]
     if missing:
         raise MissingCamera(f"there is no recording of camera {', '.join(missing)}", cameras=missing)
     labelled = {"labelled_instants": len(read_labels(context.assets["labels"]))} if "labels" in context.assets else {}
+    if "network" in context.assets:
+        _check_network(context.assets["network"])
     infos: dict[str, VideoInfo] = {}
     for number, camera in enumerate(context.site.cameras):
         context.progress(number / len(context.site.cameras), f"camera {camera.id}")
@@ -65,6 +69,15 @@ def _probe(camera_id: str, path: Path) -> VideoInfo:
         return probe(path)
     except UnreadableVideo as error:
         raise UnreadableVideo(f"camera {camera_id}: {error.message}", hint=error.hint, camera=camera_id) from error
+
+
+def _check_network(path: Path) -> None:
+    from wibam_core.models.weights import load_centertrack  # torch takes seconds to import
+
+    try:
+        load_centertrack(path)
+    except InvalidWeights as error:
+        raise InvalidWeights(f"the site's network: {error.message}", hint=error.hint, **error.details) from error
 
 
 def _check_size(camera: SiteCamera, info: VideoInfo) -> None:

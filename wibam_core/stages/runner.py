@@ -128,7 +128,7 @@ def run_pipeline(
             context = StageContext(
                 folder.site,
                 folder.recordings,
-                {k: v for k, v in folder.assets.items() if k in STAGES[name].assets},
+                {k: v for k, v in folder.assets.items() if k in STAGES[name].assets_read(config)},
                 {required: folders[required] for required in STAGES[name].requires},
                 attempt.output,
                 attempt.scratch,

@@ -22,7 +22,7 @@ from wibam_core.models.weights import load_monocular
 from wibam_core.scene import FrameSet
 from wibam_core.stages.base import StageContext, Summary
 from wibam_core.tracking.tracker import Tracker
-from wibam_core.training.device import choose_device
+from wibam_core.training.device import choose_device_to_detect
 
 
 def run(context: StageContext, config: TrackConfig) -> Summary:
@@ -40,7 +40,7 @@ def run(context: StageContext, config: TrackConfig) -> Summary:
     network = load_monocular(finetune / "weights.safetensors")
     frames = stored_frames(store, instants, rig)
     if isinstance(network, DLA34):
-        network.to(choose_device(curves.get("device", "auto")))
+        network.to(choose_device_to_detect(curves.get("device", "auto")))
         found = predict_vehicles(network, frames, decode=decode, min_score=config.min_score)
     else:
         found = predict(OnnxNetwork.of(network), frames, decode=decode, min_score=config.min_score)

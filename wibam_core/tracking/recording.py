@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from wibam_core.config import TrackConfig
+from wibam_core.evaluation.uncertainty import SdFactors
 from wibam_core.geometry.camera import Camera
 from wibam_core.models.centertrack import predict_vehicles
 from wibam_core.models.decode import Decode
@@ -23,7 +24,8 @@ def track_recording(
     camera: Camera,
     config: TrackConfig,
     *,
-    decode: Decode = "plane",
+    decode: Decode,
+    factors: SdFactors = SdFactors(),
 ) -> list[Track]:
     """Detect in each image and track.
 
@@ -32,7 +34,8 @@ def track_recording(
         images: (time in ns, BGR image (H, W, 3) uint8), in order of time; ``config.rate_hz`` is the caller's.
         camera: of the recording; any size with the images' aspect ratio.
         config: thresholds.
-        decode: how the small network's boxes are placed along the ray; DLA-34's lie at the depth that it gives.
+        decode: how boxes are placed along the ray; DLA-34's by "depth" or "plane".
+        factors: what the network's standard deviations are multiplied with.
     """
     tracker = Tracker(config)
 
@@ -41,9 +44,9 @@ def track_recording(
             yield Frame(image, camera, "camera", time_ns)
 
     if isinstance(network, DLA34):
-        detected = predict_vehicles(network, frames(), min_score=config.min_score)
+        detected = predict_vehicles(network, frames(), decode=decode, min_score=config.min_score)
     else:
         detected = predict(network, frames(), decode=decode, min_score=config.min_score)
     for found in detected:
-        tracker.step(found.time_ns, [found])
+        tracker.step(found.time_ns, [factors.apply(found)])
     return tracker.tracks()

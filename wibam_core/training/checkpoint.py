@@ -17,9 +17,12 @@ def write_checkpoint(path: Path, state: dict[str, Any]) -> None:
 
 
 def read_checkpoint(path: Path) -> dict[str, Any] | None:
-    """What was written, or None where there is nothing or it cannot be read: training then starts anew."""
+    """What was written, on the CPU whatever device it was trained on.
+
+    None where there is nothing or it cannot be read: training then starts anew.
+    """
     try:
-        state: dict[str, Any] = torch.load(path, weights_only=True)
+        state: dict[str, Any] = torch.load(path, map_location="cpu", weights_only=True)
     except (FileNotFoundError, RuntimeError, EOFError, pickle.UnpicklingError):
         return None
     return state

@@ -29,6 +29,11 @@ def choose_device(option: DeviceOption) -> torch.device:
     return torch.device("cuda" if there and option != "cpu" else "cpu")
 
 
+def choose_device_to_detect(trained_on: DeviceOption) -> torch.device:
+    """The device for a network that was trained with this option: training's own, or the CPU where CUDA has gone."""
+    return choose_device("auto" if trained_on == "cuda" else trained_on)
+
+
 @dataclass(frozen=True)
 class Precision:
     """In what networks compute; losses and geometry are float32 and float64 whatever this is.

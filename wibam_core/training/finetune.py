@@ -33,7 +33,7 @@ from wibam_core.training.views import LabelledView
 _GRADIENT_CLIP = 5.0
 
 #: Of the views; the others are seen as the camera hangs, as they will be after training.
-_SHAKEN_SHARE = 0.3
+SHAKEN_SHARE = 0.3
 _WEIGHT_DECAY = 1e-3
 
 #: Validation looks at this many views at most, evenly spread.
@@ -250,7 +250,7 @@ class _Training:
         for number in numbers:
             view, source = self._train_view(number), self._train[number]
             mirrored.append(bool(rng.random() < 0.5))
-            if self._config.method != "paper" and rng.random() < _SHAKEN_SHARE:
+            if self._config.method != "paper" and rng.random() < SHAKEN_SHARE:
                 view = shake(view, rng)
                 source = source.alone(view)
             view = mirror(view) if mirrored[-1] else view
@@ -258,7 +258,7 @@ class _Training:
             sources.append(source)
         parts = self._losses(views, sources, mirrored, self._ranks.share(len(views)))
         if not math.isfinite(float(parts["total"].detach())):
-            raise self._not_finite(numbers)
+            raise self._not_finite([self._train[number] for number in numbers])
         self._update(parts["total"])
         return {name: float(part.detach()) for name, part in parts.items()}
 
@@ -294,8 +294,8 @@ class _Training:
             numbers.append(int(order[place % total]))
         return numbers, np.random.default_rng([self._config.seed, 1, self.step])
 
-    def _not_finite(self, numbers: Sequence[int]) -> NonFiniteLoss:
-        frames = [(self._train[number].camera_id, self._train[number].time_ns) for number in numbers]
+    def _not_finite(self, views: Sequence[SiteView]) -> NonFiniteLoss:
+        frames = [(view.camera_id, view.time_ns) for view in views]
         named = ", ".join(f"{camera_id} at {time_ns * 1e-9:.2f} s" for camera_id, time_ns in frames)
         return NonFiniteLoss(
             f"the loss is not finite at step {self.step}; the batch holds {named}",
@@ -313,6 +313,8 @@ class _Training:
             views = [self._validation_view(start + offset) for offset in range(len(sources))]
             with torch.inference_mode():
                 parts = self._losses(views, sources, [False] * len(sources), _WHOLE)
+            if not math.isfinite(float(parts["total"])):
+                raise self._not_finite(sources)
             for name, part in parts.items():
                 sums[name] = sums.get(name, 0.0) + float(part) * len(sources)
         return {name: value / len(self._validation) for name, value in sums.items()}

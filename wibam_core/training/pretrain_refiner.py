@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from torch import Tensor, nn
 from torch.nn import functional
 
+from wibam_core.detection.background import UNKNOWN
 from wibam_core.detection.crops import CROP_PX, blob
 from wibam_core.models.export import export_refiner2d
 from wibam_core.models.refiner2d import Refiner2D
@@ -32,7 +33,6 @@ VALIDATION_SEED = 310_000
 _PATCH = 2.4
 #: A detector's edges are off by a share of the side, drawn anew for each box up to this s.d., and by this many px.
 _EDGE_SD_SHARE, _EDGE_SD_PX = 0.12, 0.7
-_UNKNOWN = 128
 _WEIGHTS = {"edges": 20.0, "scale": 0.1, "classes": 0.3}
 
 
@@ -91,7 +91,7 @@ def sample(patch: Patch, rng: np.random.Generator) -> tuple[NDArray[np.float32],
             known[part] = 0
         else:
             still[part] = image[part]
-    still[known[..., 0] == 0] = _UNKNOWN
+    still[known[..., 0] == 0] = UNKNOWN
     box = patch.box
     if rng.random() < 0.5:
         image, still, known = (np.ascontiguousarray(part[:, ::-1]) for part in (image, still, known))

@@ -3,14 +3,17 @@
 from __future__ import annotations
 
 import argparse
+import json
+import sys
 from pathlib import Path
 from typing import Any
 
 import pytest
 
 from benchmarks import data_amount, learning
+from benchmarks.learning_options import command_of, site_parser
 from benchmarks.learning_report import by_distance, document, draw, ratios, table, verdicts
-from benchmarks.learning_rows import RowFile, Run, mean_of
+from benchmarks.learning_rows import RowFile, Run, code_version, joined, mean_of, read_rows, versions, write_rows
 from wibam_core.config import FinetuneConfig
 
 
@@ -76,13 +79,100 @@ def test_a_killed_run_keeps_what_it_made(tmp_path: Path) -> None:
 
     with pytest.raises(KeyboardInterrupt):
         list(RowFile(tmp_path / "rows.json").rows([{"site": 1}, {"site": 2}], compute))
-    assert RowFile(tmp_path / "rows.json").find({"site": 1}) == {"run": {"site": 1}, "a": 1}
+    assert RowFile(tmp_path / "rows.json").find({"site": 1}) == {"run": {"site": 1}, "code": code_version(), "a": 1}
     assert RowFile(tmp_path / "rows.json").find({"site": 2}) is None
 
 
 def test_rows_that_do_not_say_what_was_run_are_forgotten(tmp_path: Path) -> None:
     (tmp_path / "rows.json").write_text('[{"site": 501, "method": "lifted"}]')
     assert RowFile(tmp_path / "rows.json").find({"site": 501}) is None
+
+
+def test_rows_of_other_code_are_made_again_unless_they_are_kept(tmp_path: Path) -> None:
+    path, run = tmp_path / "rows.json", {"site": 1}
+    write_rows(path, [{"run": run, "a": 0}, {"run": {"site": 2}, "code": "old", "a": 0}])
+    assert RowFile(path, code="new").find(run) is None  # it does not say which code made it
+    assert RowFile(path, code="new").find({"site": 2}) is None
+    assert RowFile(path, code="old").find({"site": 2}) is not None
+    assert list(RowFile(path, keep=True, code="new").rows([run], lambda _: {"a": 1})) == [{"run": run, "a": 0}]
+    assert list(RowFile(path, code="new").rows([run], lambda _: {"a": 1})) == [{"run": run, "code": "new", "a": 1}]
+    assert [row["a"] for row in read_rows(path)] == [0, 1]  # the row of the other run stays, that of this run gives way
+
+
+def test_the_version_of_the_code_is_that_of_every_stage_that_makes_figures(monkeypatch: pytest.MonkeyPatch) -> None:
+    before = code_version()
+    assert before == code_version() and len(before) == 10
+    for changed in ("detect", "lift", "finetune", "evaluate"):
+        monkeypatch.setattr("benchmarks.learning_rows.code_digest", lambda stage, c=changed: "x" if stage == c else "y")
+        found = code_version()
+        monkeypatch.setattr("benchmarks.learning_rows.code_digest", lambda stage: "y")
+        assert found != code_version()
+
+
+def test_of_equal_runs_in_several_files_the_first_counts(tmp_path: Path) -> None:
+    write_rows(tmp_path / "a.json", [{"run": {"site": 1}, "a": 1}])
+    write_rows(tmp_path / "b.json", [{"run": {"site": 1}, "code": "x", "a": 2}, {"run": {"site": 2}, "a": 3}])
+    assert [row["a"] for row in joined([tmp_path / "a.json", tmp_path / "b.json"])] == [1, 3]
+    assert [row["a"] for row in joined([tmp_path / "b.json", tmp_path / "a.json"])] == [2, 3]
+
+
+def test_the_document_says_when_the_code_changed_between_rows() -> None:
+    assert versions(rows()) == "" == versions([row | {"code": "a1"} for row in rows()])
+    mixed = [rows()[0], *(row | {"code": "a1"} for row in rows()[1:])]
+    assert versions(mixed).endswith("not recorded (1), a1 (5).")
+    assert versions(mixed) in document(mixed, "command")
+    assert "several versions" not in document(rows(), "command")
+
+
+def run_of(site: int, method: str, seed: int = 0, steps: int = 5) -> dict[str, Any]:
+    finetune = learning.options_of(method, seed, steps)
+    return {"site": site, "seed": seed, "method": method, "seconds": 120.0, "density": 1.2, "finetune": finetune}
+
+
+def test_commands_make_the_rows_that_they_stand_for(monkeypatch: pytest.MonkeyPatch) -> None:
+    runs = [run_of(s, m) for s in (501, 502) for m in ("lifted", "baseline")]
+    runs += [run_of(501, "lifted", seed=1), run_of(503, "labels")]
+    commands = learning.commands_of([{"run": run} for run in runs])
+    assert commands[0] == (
+        "python -m benchmarks.learning --sites 501 502 --seeds 0 --seconds 120 --density 1.2 --steps 5 "
+        "--methods baseline lifted"
+    )
+    assert len(commands) == 3 and "--steps" not in commands[-1]
+    typed = []
+    for command in commands:
+        monkeypatch.setattr(sys, "argv", command.split()[2:])
+        typed += list(learning.runs_of(learning.parse()))
+    assert sorted(map(str, typed)) == sorted(map(str, runs))
+
+
+def test_rows_of_files_are_drawn_without_running_anything(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    lifted = {"run": run_of(501, "lifted"), **figures(0.6)}  # as rows were that did not say which code made them
+    write_rows(tmp_path / "a.json", [lifted, {"run": run_of(501, "baseline"), "code": "x", **figures(0.4)}])
+    write_rows(tmp_path / "b.json", [{**lifted, "bev_iou": None}, {"run": run_of(502, "lifted"), **figures(0.7)}])
+    inputs = [str(tmp_path / name) for name in ("a.json", "b.json")]
+    monkeypatch.setattr(sys, "argv", ["learning", "--draw", *inputs, "--out", str(tmp_path / "out")])
+    learning.main()
+    written = json.loads((tmp_path / "out" / "learning.json").read_text())
+    assert [(row["run"]["site"], row["run"]["method"]) for row in written] == [
+        (501, "baseline"),
+        (501, "lifted"),
+        (502, "lifted"),
+    ]
+    assert written[1] == lifted
+    text = (tmp_path / "out" / "learning.md").read_text()
+    assert "    python -m benchmarks.learning --sites 501 --seeds 0 --seconds 120" in text
+    assert "| lifted | plane | 2 | 0.650" in text and "x (1), not recorded (2)" in text
+    assert (tmp_path / "out" / "learning.png").is_file()
+    (tmp_path / "b.json").write_text('[{"site": 501}]')
+    with pytest.raises(SystemExit, match=r"b\.json"):
+        learning.main()
+
+
+def test_commands_are_typed_as_they_are_parsed() -> None:
+    typed = command_of("x", poses_deg=[0.1, 1.0], draws=3, train=True, fresh=False, steps=None)
+    assert typed == "python -m benchmarks.x --poses-deg 0.1 1 --draws 3 --train"
+    shared = site_parser("about", sites=[1], seconds=9.0).parse_args(["--sites", "2", "3"])
+    assert (shared.sites, shared.seconds, shared.keep, shared.fresh) == ([2, 3], 9.0, False, False)
 
 
 def test_every_method_has_options_that_exist() -> None:
@@ -126,6 +216,8 @@ def test_the_document_says_which_sites_were_used_to_choose(tmp_path: Path) -> No
     some = [row | {"chosen_on": row["run"]["site"] == 2} for row in rows()]
     text = document(some, "command")
     assert "Used to choose methods and options, so that their figures flatter: 2." in text
+    later = [row | {"run": {**row["run"], "site": 13}} for row in rows()]  # chosen on since these rows were made
+    assert "so that their figures flatter: 13." in document(later, "command")
     assert "    command" in text and by_distance(some) in text and "0–10 m" in text
     draw(some, tmp_path)
     assert (tmp_path / "learning.png").stat().st_size > 5000 < (tmp_path / "learning-distance.png").stat().st_size
@@ -159,6 +251,7 @@ def test_shares_of_the_full_gain_are_told_between_the_amounts_tried() -> None:
 def test_the_data_amount_document_and_curve(tmp_path: Path) -> None:
     text = data_amount.document(amounts(), "command")
     assert "| 25 % | 1.00 ± 0.00 | 25 ± 0 | 2 |" in text
+    assert "No site was used to choose" in text and "fits to the whole recording" in text
     data_amount.save(data_amount.curve_figure(amounts()), tmp_path / "curve.png")
     assert (tmp_path / "curve.png").stat().st_size > 5000
     assert [run["share"] for run in data_amount.runs_of(arguments(sites=[11], seeds=[0]))] == [0.0, 0.5, 1.0]

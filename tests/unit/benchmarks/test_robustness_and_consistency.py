@@ -9,11 +9,23 @@ import numpy as np
 import pytest
 
 from benchmarks import robustness, self_consistency
-from tests.builders import corner_rig
-from wibam_core.config import FinetuneConfig
-from wibam_core.scene import AnnotatedInstant, Detections2D
+from benchmarks.learning_sites import Site
+from tests.builders import corner_rig, site_of
+from tests.multiview import crossing
+from wibam_core.config import AssociateConfig, DatasetConfig, FinetuneConfig, LiftConfig
+from wibam_core.dataset.split import SUBSETS, Split
+from wibam_core.evaluation.instants import exposure_times
+from wibam_core.formats.annotations import write_annotations
+from wibam_core.formats.rig import read_rig, write_rig
+from wibam_core.formats.vehicles3d import read_vehicles3d
+from wibam_core.progress import silent
+from wibam_core.scene import AnnotatedInstant, Detections2D, FrameSet, Vehicles3D
+from wibam_core.stages import associate, dataset, lift
+from wibam_core.stages.base import StageContext
 
 RIG = corner_rig(3)
+#: A split of a few seconds.
+SHORT = DatasetConfig(rate_hz=4.0, train_share=0.6, val_share=0.2, gap_s=0.3)
 
 
 def test_cameras_are_turned_by_the_angle_about_their_centres() -> None:
@@ -39,6 +51,58 @@ def test_a_wrong_clock_is_wrong_by_the_same_at_every_instant_and_the_reference_i
     assert all(len(of) == 1 and 0 < abs(next(iter(of))) < 100_000_000 for of in late.values())
 
 
+@pytest.fixture(scope="module")
+def job(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """What the stages from detection to the fits leave of a small scene."""
+    root, scene = tmp_path_factory.mktemp("job"), crossing()
+    for name in ("calibrate", "detect", "associate", "dataset", "lift"):
+        (root / name).mkdir()
+    write_rig(root / "calibrate" / "rig.json", scene.rig)
+    write_annotations(root / "detect" / "detections.parquet", scene.unassociated)
+
+    def context(name: str, *requires: str) -> StageContext:
+        upstream = {stage: root / stage for stage in requires}
+        return StageContext(site_of(scene.rig), {}, {}, upstream, root / name, root, silent)
+
+    associate.run(context("associate", "calibrate", "detect"), AssociateConfig())
+    dataset.run(context("dataset", "calibrate", "associate"), SHORT)
+    lift.run(context("lift", "calibrate", "associate", "dataset"), LiftConfig())
+    return root
+
+
+def test_nothing_disturbed_gives_what_a_job_computes(job: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(robustness, "DatasetConfig", lambda: SHORT)
+    fits = read_vehicles3d(job / "lift" / "lifts.parquet")
+    rig, stages = read_rig(job / "calibrate" / "rig.json"), {"detect": job / "detect"}
+    site = Site(11, None, None, stages, rig, None, [], [], None, None)  # type: ignore[arg-type]
+    again = robustness.disturbed(site, "pose_deg", 0.0, 0).lifts
+    assert [v.time_ns for v in again] == [v.time_ns for v in fits] and sum(map(len, fits)) > 50
+    for ours, theirs in zip(again, fits, strict=True):
+        assert ours.ids.tolist() == theirs.ids.tolist()
+        np.testing.assert_allclose(ours.boxes, theirs.boxes, atol=1e-3)
+
+
+def test_the_fits_are_thinned_to_the_split_and_a_period() -> None:
+    times = [k * 40_000_000 for k in range(20)]
+    split = Split({"train": (0, 280_000_000), "val": (), "test": (600_000_000,)}, dict.fromkeys(SUBSETS, frozenset()))
+    kept = [instant.time_ns for instant in lift.thinned([AnnotatedInstant(t, {}) for t in times], split, 6.25)]
+    assert kept == [k * 40_000_000 for k in (0, 4, 7, 11, 15, 19)]
+
+
+def test_labels_are_without_the_vehicles_that_another_part_keeps() -> None:
+    split = Split(
+        {"train": (0,), "val": (), "test": (9,)}, {"train": frozenset({5}), "val": frozenset(), "test": frozenset()}
+    )
+    fits = [Vehicles3D.of(t, np.ones((2, 7)), np.zeros(2, int), np.array([4, 5]), np.ones(2)) for t in (0, 3, 9)]
+    labels = lift.as_labels(fits, split)
+    assert {v.time_ns: v.ids.tolist() for v in labels} == {0: [4], 9: [4, 5]}
+
+
+def test_every_frame_has_its_own_time_of_exposure() -> None:
+    instants = [FrameSet(0, {"a": 0, "b": 7}), FrameSet(80, {"a": 81})]
+    assert exposure_times(instants) == {(0, "a"): 0, (0, "b"): 7, (80, "a"): 81}
+
+
 def disturbed_rows() -> list[dict[str, Any]]:
     names = ("ate_m", "bev_iou", "aoe_deg")
     return [
@@ -58,6 +122,9 @@ def test_draws_have_a_mean_and_a_spread(tmp_path: Path) -> None:
     assert (mean, sd, count) == (pytest.approx(0.55), pytest.approx(0.1 / np.sqrt(2)), 2)
     text = robustness.document(disturbed_rows(), "command")
     assert "| 0.3 | 2 | 0.55 ± 0.07 |" in text and "| 0 | 1 | 0.20 |" in text
+    assert "No site was used to choose" in text
+    on_chosen = [{**row, "run": {**row["run"], "site": 11}} for row in disturbed_rows()]
+    assert "so that their figures flatter: 11." in robustness.document(on_chosen, "command")
     robustness.save(robustness.curves_figure(disturbed_rows()), tmp_path / "curves.png")
     assert (tmp_path / "curves.png").stat().st_size > 5000
 
@@ -99,6 +166,7 @@ def test_correlations_over_all_and_within_sites_and_networks() -> None:
 def test_the_consistency_document_and_figure(tmp_path: Path) -> None:
     text = self_consistency.document(networks(), "command")
     assert "| IoU in other views | BEV IoU |" in text and "1.00 / 1.00 (2)" in text
+    assert "No site was used to choose" in text
     self_consistency.save(self_consistency.scatter_figure(networks()), tmp_path / "scatter.png")
     assert (tmp_path / "scatter.png").stat().st_size > 5000
 

@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+from collections.abc import Iterable, Iterator
 from itertools import islice
 from pathlib import Path
 
@@ -11,14 +12,23 @@ from typer.testing import CliRunner
 from tests.builders import corner_rig
 from tests.recordings import write_recording
 from wibam_core.cli.app import app
+from wibam_core.config import TrackConfig
 from wibam_core.errors import CalibrationError, InvalidWeights, MissingCamera
+from wibam_core.evaluation.uncertainty import SdFactors
 from wibam_core.formats.rig import write_rig
 from wibam_core.formats.tracks import read_tracks
 from wibam_core.models.convert import convert_checkpoint
+from wibam_core.models.decode import Decode
 from wibam_core.models.dla34 import DLA34
 from wibam_core.models.export import export_small
-from wibam_core.models.weights import bundled, load_network
-from wibam_core.scene import VehicleClass
+from wibam_core.models.inference import Frame
+from wibam_core.models.onnx_network import OnnxNetwork
+from wibam_core.models.small import SmallNetwork
+from wibam_core.models.usage import Usage
+from wibam_core.models.weights import bundled, load_centertrack, load_network, save_network
+from wibam_core.scene import Track, VehicleClass, Vehicles3D
+from wibam_core.tracking import recording
+from wibam_core.tracking.recording import track_recording
 from wibam_core.video.decode import decode
 from wibam_core.video.encode import VideoWriter
 
@@ -65,6 +75,74 @@ def test_a_model_may_be_onnx(video: Path, tmp_path: Path) -> None:
         run(video, "--out", out, "--weights", bundled("detector2d.onnx"))
 
 
+@pytest.fixture
+def still(tmp_path: Path) -> Path:
+    """A picture of noise that does not move, in which the networks below see vehicles that stand."""
+    noise = np.random.default_rng(0).integers(0, 255, (36, 64, 3), dtype=np.uint8)
+    with VideoWriter(tmp_path / "still.mp4", 64, 36, 8.0) as writer:
+        for number in range(8):
+            writer.write(noise, number * 125_000_000)
+    return tmp_path / "still.mp4"
+
+
+def seeing_network() -> SmallNetwork:
+    """Random heat; cars of the mean size, `exp(3)` m away at the reference focal length, with small errors."""
+    torch.manual_seed(0)
+    network = SmallNetwork().eval()
+    biases = {"heat": [1.0, -5.0, -5.0, -5.0], "box2d": [0.0, 0.0, 1.0, 1.0], "log_scale": [-4.0] * 4}
+    with torch.no_grad():
+        for name, head in network.heads.items():
+            head.weight.zero_()
+            if name in biases:
+                head.bias.copy_(torch.tensor(biases[name]))
+        network.heads["heat"].weight[0].normal_(std=0.5)
+    return network
+
+
+def expected(network: OnnxNetwork | DLA34, still: Path, how: Decode, factors: SdFactors = SdFactors()) -> list[Track]:
+    config = TrackConfig(rate_hz=8.0, min_score=0.3)
+    camera = corner_rig(2)["cam1"]
+    return track_recording(network, decode(still), camera, config, decode=how, factors=factors)
+
+
+def assert_same(found: list[Track], want: list[Track]) -> None:
+    assert len(found) == len(want) > 0
+    for one, other in zip(found, want, strict=True):
+        np.testing.assert_allclose(one.boxes, other.boxes, atol=1e-3)
+        np.testing.assert_allclose(one.sd, other.sd, atol=1e-3)
+
+
+def places(tracks: list[Track]) -> list[list[float]]:
+    return [track.boxes[0, :2].round(1).tolist() for track in tracks]
+
+
+@pytest.mark.parametrize("suffix", ["safetensors", "onnx"])
+def test_a_model_is_used_as_it_says(still: Path, tmp_path: Path, suffix: str) -> None:
+    torch.set_num_threads(1)
+    network = seeing_network()
+    write_rig(tmp_path / "rig.json", corner_rig(2))
+
+    def tracks(usage: Usage | None) -> list[Track]:
+        weights, out = tmp_path / f"model.{suffix}", tmp_path / "tracks.parquet"
+        if suffix == "onnx":
+            export_small(network, weights, usage)
+        else:
+            save_network(network, weights, {} if usage is None else usage.metadata())
+        run(still, "--out", out, "--rate", "8", "--weights", weights, "--calibration", tmp_path / "rig.json")
+        return read_tracks(out)
+
+    ours = OnnxNetwork.of(network)
+    plane, depth = expected(ours, still, "plane"), expected(ours, still, "depth")
+    assert places(plane) != places(depth)
+    unsure = expected(ours, still, "depth", SdFactors(position=3.0))
+    assert np.median(unsure[0].sd[:, 0]) > 1.5 * np.median(depth[0].sd[:, 0])
+    assert_same(tracks(None), plane)
+    assert_same(tracks(Usage("depth")), depth)
+    assert_same(tracks(Usage("depth", {"position": 3.0})), unsure)
+    with pytest.raises(InvalidWeights, match="sd_factors name width"):
+        tracks(Usage("plane", {"width": 2.0}))
+
+
 @pytest.fixture(scope="module")
 def centertrack(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Converted weights, random but for heads that see cars about 20 m away wherever the noise is bright."""
@@ -96,6 +174,23 @@ def test_centertracks_weights_are_the_detector(centertrack: Path, tmp_path: Path
     for track in tracks:
         assert track.vehicle_class is VehicleClass.CAR
         np.testing.assert_allclose(track.boxes[:, 3:6], [[4.5, 1.9, 1.6]] * len(track), atol=0.5)
+
+
+def test_a_fine_tuned_dla34_is_used_as_it_says(
+    centertrack: Path, still: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    used: list[str] = []
+
+    def nothing(network: DLA34, frames: Iterable[Frame], *, min_score: float, decode: str) -> Iterator[Vehicles3D]:
+        used.append(decode)
+        for frame in frames:
+            yield Vehicles3D.of(frame.time_ns, np.zeros((0, 7)), camera_id=frame.camera_id)
+
+    monkeypatch.setattr(recording, "predict_vehicles", nothing)
+    save_network(load_centertrack(centertrack), tmp_path / "plane.safetensors", Usage("plane").metadata())
+    for weights in (centertrack, tmp_path / "plane.safetensors"):
+        run(still, "--out", tmp_path / "tracks.parquet", "--rate", "2", "--weights", weights)
+    assert used == ["depth", "plane"]
 
 
 @pytest.mark.assets

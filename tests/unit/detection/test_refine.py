@@ -9,6 +9,7 @@ from wibam_core.detection.refine import EdgeRefiner
 from wibam_core.synthetic.sampling import RenderedView, sample_views
 
 SIDE_PX = 14.0
+OPTIONS = {"nms_iou": 1.0, "classify": True}
 
 
 @pytest.fixture(scope="module")
@@ -35,7 +36,7 @@ def errors(views: list[RenderedView], known: bool) -> tuple[float, float]:
         true, given = shaken(view, rng)
         mask = np.full(view.image.shape[:2], 255 if known else 0, np.uint8)
         still = view.still if known else np.full_like(view.still, 128)
-        found = refiner.refine(view.image, StillBackground(still, mask), given)
+        found = refiner.refine(view.image, StillBackground(still, mask), given, nms_iou=1.0, classify=True)
         sides = np.tile(true[:, 2:] - true[:, :2], 2)
         before.append(np.abs(given.boxes - true) / sides)
         after.append(np.abs(found.boxes - true) / sides)
@@ -54,7 +55,7 @@ def test_edges_become_sharper_and_the_background_helps(views: list[RenderedView]
 def test_no_boxes_are_no_boxes(views: list[RenderedView]) -> None:
     none = Found(np.empty((0, 4)), np.empty(0), np.empty(0, np.int64))
     image = views[0].image
-    assert len(EdgeRefiner().refine(image, StillBackground(image, image[..., 0]), none).boxes) == 0
+    assert len(EdgeRefiner().refine(image, StillBackground(image, image[..., 0]), none, **OPTIONS).boxes) == 0
 
 
 def test_boxes_stay_sound_whatever_the_image_shows(views: list[RenderedView]) -> None:
@@ -63,7 +64,25 @@ def test_boxes_stay_sound_whatever_the_image_shows(views: list[RenderedView]) ->
     corners = rng.uniform(-0.5, [70, 50], (40, 2))
     boxes = np.concatenate([corners, np.minimum(corners + rng.uniform(1, 30, (40, 2)), [79.5, 59.5])], axis=1)
     background = StillBackground(np.full_like(image, 128), np.zeros((60, 80), np.uint8))
-    found = EdgeRefiner().refine(image, background, Found(boxes, np.ones(40), np.zeros(40, np.int64)))
+    found = EdgeRefiner().refine(image, background, Found(boxes, np.ones(40), np.zeros(40, np.int64)), **OPTIONS)
     assert (found.boxes[:, 2:] - found.boxes[:, :2] >= 1.0).all()
     assert (found.boxes >= -0.5).all() and (found.boxes <= [79.5, 59.5, 79.5, 59.5]).all()
     assert ((found.classes >= 0) & (found.classes < 4)).all()
+    sides = np.tile(boxes[:, 2:] - boxes[:, :2], 2)
+    assert (np.abs(found.boxes - boxes) <= 0.3 * sides + 1e-9).all()
+
+
+def test_what_turns_out_to_be_one_vehicle_is_one_box(views: list[RenderedView]) -> None:
+    view = views[0]
+    rng = np.random.default_rng(2)
+    true, first = shaken(view, rng)
+    _, second = shaken(view, rng)
+    both = Found(
+        np.concatenate([first.boxes, second.boxes]),
+        np.concatenate([np.full(len(true), 0.9), np.full(len(true), 0.5)]),
+        np.zeros(2 * len(true), np.int64),
+    )
+    background = StillBackground(view.still, np.full(view.image.shape[:2], 255, np.uint8))
+    found = EdgeRefiner().refine(view.image, background, both, nms_iou=0.6, classify=False)
+    assert len(true) >= 2 and len(found.boxes) == len(true)
+    assert (found.scores == 0.9).all() and (found.classes == 0).all()

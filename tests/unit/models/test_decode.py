@@ -161,6 +161,25 @@ def test_fusion_is_better_than_either_and_says_how_good_it_is() -> None:
     assert error["fused"] == pytest.approx(float(stated), rel=0.15)
 
 
+def test_near_the_horizon_the_plane_tells_nothing_and_says_so() -> None:
+    low = CameraTensors.from_cameras(
+        [look_at((20.0, 0.0, 1.6), focal_px=400.0, width_px=512, height_px=288)] * 2, torch.float64
+    )
+    found = values(n=1, seed=3)
+    away = 60.0
+    horizon = replace(
+        found,
+        cells=torch.tensor([[64, 20]]),
+        centre3d=torch.zeros_like(found.centre3d),
+        depth=torch.log(torch.tensor([away], dtype=torch.float64)),
+        log_scale=torch.full((1, 4), -3.0, dtype=torch.float64),
+    )
+    plane, fused, depth = (boxes3d(horizon, low, SIZES, how) for how in ("plane", "fused", "depth"))
+    torch.testing.assert_close(fused[:, :2], depth[:, :2])
+    sd = standard_deviations(horizon, plane, low, "plane")[0, :2]
+    assert float(torch.linalg.norm(sd)) > 0.9 * float(torch.linalg.norm(plane[0, :2] - low.centre_m[0, :2]))
+
+
 def test_convention_cells_are_centred_in_their_four_pixels() -> None:
     np.testing.assert_allclose(cell_centres_px(torch.tensor([[0, 0], [10, 3]])).numpy(), [[1.5, 1.5], [41.5, 13.5]])
     pixels = torch.tensor([[3.7, 100.2]])

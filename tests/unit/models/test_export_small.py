@@ -17,6 +17,7 @@ from wibam_core.models.inference import Frame, predict, prepare_image, to_input
 from wibam_core.models.onnx_network import OnnxNetwork
 from wibam_core.models.small import INPUT_WIDTH_PX, MEAN_SIZES_M, REFERENCE_FOCAL_PX, SmallNetwork, SmallOutputs
 from wibam_core.models.trunk import STRIDE, TrunkShape
+from wibam_core.models.usage import Usage
 from wibam_core.models.weights import bundled, load_network
 from wibam_core.scene import CLASSES
 from wibam_core.synthetic.sampling import sample_views
@@ -147,6 +148,13 @@ def test_the_file_says_what_one_needs_to_know(exported: Path) -> None:
     assert json.loads(said["uncertainty_groups"]) == ["centre3d", "depth", "size", "yaw"]
     np.testing.assert_allclose(json.loads(said["mean_sizes_m"]), MEAN_SIZES_M, rtol=1e-6)
     assert [entry.version for entry in model.opset_import] == [18]
+
+
+def test_the_file_says_how_it_is_to_be_used(exported: Path, tmp_path: Path) -> None:
+    assert OnnxNetwork.load(exported).usage == Usage("plane")
+    usage = Usage("fused", {"position": 1.7, "yaw": 0.8})
+    export_small(random_network(), tmp_path / "weights.onnx", usage)
+    assert OnnxNetwork.load(tmp_path / "weights.onnx").usage == usage
 
 
 def test_a_network_in_training_stays_in_training_and_is_written_for_evaluation(tmp_path: Path) -> None:

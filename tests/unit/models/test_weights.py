@@ -5,8 +5,10 @@ import torch
 from safetensors.torch import load_file, save_file
 
 from wibam_core.errors import InvalidWeights
+from wibam_core.models.dla34 import DLA34
 from wibam_core.models.small import SmallNetwork
-from wibam_core.models.weights import bundled, load_network, metadata, save_network
+from wibam_core.models.usage import Usage
+from wibam_core.models.weights import bundled, centertrack_metadata, load_network, metadata, save_network, usage_of
 
 
 @pytest.fixture(scope="module")
@@ -77,3 +79,40 @@ def test_bundled_files_are_there_and_load() -> None:
     assert bundled("detector2d.onnx").stat().st_size < 8_000_000
     with pytest.raises(InvalidWeights, match="nothing"):
         bundled("nothing.safetensors")
+
+
+@pytest.mark.parametrize("usage", [Usage("fused", {"position": 1.7, "yaw": 0.8}), Usage("depth")])
+def test_a_file_says_how_it_is_to_be_used(tmp_path: Path, usage: Usage) -> None:
+    save_network(SmallNetwork(), tmp_path / "network.safetensors", usage.metadata())
+    assert usage_of(tmp_path / "network.safetensors") == usage
+    load_network(tmp_path / "network.safetensors")
+
+
+def test_what_a_file_does_not_say_is_its_familys_usual_way(saved: Path, tmp_path: Path) -> None:
+    assert usage_of(saved) == usage_of(bundled("mono_small.safetensors")) == Usage("plane")
+    save_network(DLA34(), tmp_path / "network.safetensors")
+    assert usage_of(tmp_path / "network.safetensors") == Usage("depth")
+
+
+@pytest.mark.parametrize(
+    ("said", "why"),
+    [
+        ({"decode": "guess"}, "network: decode is 'guess', not one of plane, depth, fused"),
+        ({"sd_factors": "[1]"}, "network: sd_factors is .* not a JSON object of positive numbers"),
+        ({"sd_factors": "{"}, "sd_factors is"),
+        ({"sd_factors": '{"yaw": "2"}'}, "sd_factors is"),
+        ({"sd_factors": '{"yaw": 0}'}, "sd_factors is"),
+        ({"sd_factors": '{"yaw": NaN}'}, "sd_factors is"),
+    ],
+)
+def test_a_usage_that_cannot_be_is_refused(tmp_path: Path, said: dict[str, str], why: str) -> None:
+    save_file({"any": torch.zeros(1)}, str(tmp_path / "network"), metadata=metadata() | said)
+    with pytest.raises(InvalidWeights, match=why):
+        usage_of(tmp_path / "network")
+
+
+def test_a_dla34_has_no_uncertainties_to_fuse_by(tmp_path: Path) -> None:
+    said = centertrack_metadata() | Usage("fused").metadata()
+    save_file({"any": torch.zeros(1)}, str(tmp_path / "network"), metadata=said)
+    with pytest.raises(InvalidWeights, match="not one of depth, plane"):
+        usage_of(tmp_path / "network")

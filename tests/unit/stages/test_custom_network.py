@@ -13,7 +13,7 @@ from safetensors.torch import load_file, save_file
 
 from tests.builders import site_of
 from tests.site_dataset import tiny_rig, tiny_site
-from wibam_core.config import EvaluateConfig, FinetuneConfig, PipelineConfig, TrackConfig
+from wibam_core.config import EvaluateConfig, FinetuneConfig, PipelineConfig, PreflightConfig, TrackConfig
 from wibam_core.dataset.split import Split
 from wibam_core.errors import InputError, InvalidOption, InvalidWeights, UnreadableVideo
 from wibam_core.formats.annotations import write_annotations
@@ -22,10 +22,10 @@ from wibam_core.formats.vehicles3d import write_vehicles3d
 from wibam_core.models.dla34 import DLA34
 from wibam_core.models.inference import Frame
 from wibam_core.models.small import SmallNetwork
-from wibam_core.models.weights import centertrack_metadata, load_centertrack, save_network
+from wibam_core.models.weights import centertrack_metadata, load_centertrack, save_network, usage_of
 from wibam_core.progress import silent
 from wibam_core.scene import Vehicles3D
-from wibam_core.stages import evaluate, finetune, track
+from wibam_core.stages import evaluate, finetune, preflight, track
 from wibam_core.stages.base import StageContext
 from wibam_core.stages.graph import InputDigests, plan
 from wibam_core.stages.runner import SiteFolder, StageUpdate, run_pipeline
@@ -74,6 +74,7 @@ def test_it_is_fine_tuned_compared_and_tracked_with(context: StageContext, monke
     assert not torch.equal(after.hm[2].bias, before.hm[2].bias)
     with safetensors.safe_open(str(tuned), "pt") as file:
         assert {"licence": "for trying out", "source_name": "theirs.pth"}.items() <= file.metadata().items()
+    assert usage_of(tuned).decode == "plane"
     assert json.loads((context.output / "curves.json").read_text())["network"] == "custom"
 
     used: list[tuple[float, str]] = []
@@ -83,6 +84,9 @@ def test_it_is_fine_tuned_compared_and_tracked_with(context: StageContext, monke
         for frame in frames:
             yield Vehicles3D.of(frame.time_ns, torch.zeros(0, 7).numpy(), camera_id=frame.camera_id)
 
+    trained_elsewhere = json.loads((context.output / "curves.json").read_text()) | {"device": "cuda"}
+    (context.output / "curves.json").write_text(json.dumps(trained_elsewhere))
+    monkeypatch.setattr(torch.cuda, "is_available", lambda: False)
     for module in (evaluate, track):
         monkeypatch.setattr(module, "predict_vehicles", nothing)
     later = replace(context, upstream={**context.upstream, "finetune": context.output}, output=context.scratch)
@@ -117,7 +121,38 @@ def test_a_job_is_planned_with_it_alone_where_it_is_there(weights: Path) -> None
         plan(site_of(), config, InputDigests(recordings, {}))
     first, second = (plan(site_of(), config, InputDigests(recordings, {"network": digest})) for digest in "bc")
     changed = {a.name for a, b in zip(first, second, strict=True) if a.digest != b.digest}
-    assert changed == {"finetune", "evaluate", "track", "safety", "report"}
+    assert changed == {"preflight", "finetune", "evaluate", "track", "safety", "report"}
+
+
+def test_it_changes_nothing_where_the_options_do_not_ask_for_it() -> None:
+    recordings = dict.fromkeys(site_of().camera_ids, "a")
+    with_it, without = (
+        plan(site_of(), PipelineConfig(), InputDigests(recordings, assets)) for assets in ({"network": "b"}, {})
+    )
+    assert with_it == without
+
+
+def test_one_that_cannot_be_used_is_refused_by_the_first_stage(tmp_path: Path) -> None:
+    (tmp_path / "video").write_bytes(b"no video")
+    save_network(SmallNetwork(), tmp_path / "network")
+    recordings = dict.fromkeys(site_of().camera_ids, tmp_path / "video")
+    folder = SiteFolder(site_of(), recordings, {"network": tmp_path / "network"})
+    custom = PipelineConfig.parse({"finetune": {"network": "custom"}})
+    with pytest.raises(InvalidWeights, match="the site's network: network: family is 'wibam-small'"):
+        run_pipeline(folder, StageStore(tmp_path / "store"), custom)
+    with pytest.raises(UnreadableVideo):  # nothing reads it
+        run_pipeline(folder, StageStore(tmp_path / "store"), PipelineConfig())
+
+
+def test_preflight_names_the_first_tensor_that_does_not_fit(context: StageContext, tmp_path: Path) -> None:
+    changed: dict[str, Any] = load_file(str(context.assets["network"]))
+    del changed["dep.2.bias"]
+    save_file(changed, str(tmp_path / "changed"), metadata=centertrack_metadata())
+    there = dict.fromkeys(context.site.camera_ids, tmp_path / "changed")
+    with pytest.raises(InvalidWeights, match=r"the site's network: changed lacks the tensor dep\.2\.bias"):
+        preflight.run(replace(context, recordings=there, assets={"network": tmp_path / "changed"}), PreflightConfig())
+    with pytest.raises(UnreadableVideo):  # its own is in order
+        preflight.run(replace(context, recordings=there), PreflightConfig())
 
 
 def test_a_device_that_is_not_there_is_refused_before_the_first_stage(

@@ -3,9 +3,12 @@
 import numpy as np
 import pytest
 
+from wibam_core.config import DetectConfig
+from wibam_core.detection.background import StillBackground, still_background
 from wibam_core.formats.framestore import FrameStore, FrameStoreWriter
 from wibam_core.progress import silent
 from wibam_core.scene import AnnotatedInstant, Detections2D
+from wibam_core.stages import edges
 from wibam_core.stages.edges import refine_all
 from wibam_core.synthetic.cameras import site_cameras
 from wibam_core.synthetic.layout import make_layout
@@ -50,7 +53,7 @@ def test_convention_edges_are_in_pixels_of_the_recording(
     recorded: tuple[FrameStore, list[AnnotatedInstant], list[np.ndarray]],
 ) -> None:
     store, instants, truth = recorded
-    refined = list(refine_all(store, instants, silent))
+    refined = list(refine_all(store, instants, DetectConfig(), silent))
     assert [instant.time_ns for instant in refined] == [instant.time_ns for instant in instants]
 
     def error(given: list[AnnotatedInstant]) -> float:
@@ -72,6 +75,45 @@ def test_progress_rises_to_one_and_frames_without_boxes_are_kept(
     empty = Detections2D("a", S + 5, np.empty((0, 4)), np.empty(0), np.empty(0, np.int64))
     given = [instants[0], AnnotatedInstant(S, {"a": empty}), *instants[2:]]
     seen: list[float] = []
-    refined = list(refine_all(store, given, lambda fraction, message="", **figures: seen.append(fraction)))
+    refined = list(
+        refine_all(store, given, DetectConfig(), lambda fraction, message="", **figures: seen.append(fraction))
+    )
     assert len(refined) == len(given) and len(refined[1].detections["a"]) == 0
     assert seen == sorted(seen) and seen[-1] == 1.0
+
+
+def test_other_detectors_keep_their_classes(
+    recorded: tuple[FrameStore, list[AnnotatedInstant], list[np.ndarray]],
+) -> None:
+    store, instants, _ = recorded
+    trucks = []
+    for instant in instants:
+        seen = instant.detections["a"]
+        classes = np.full(len(seen), 2)
+        trucks.append(
+            AnnotatedInstant(
+                instant.time_ns, {"a": Detections2D("a", seen.frame_time_ns, seen.boxes, seen.scores, classes)}
+            )
+        )
+    own, theirs = (
+        np.concatenate([i.detections["a"].classes for i in refine_all(store, trucks, DetectConfig(detector=d), silent)])
+        for d in ("bundled", "custom")
+    )
+    assert (theirs == 2).all()
+    assert (own == 0).mean() > 0.5  # most of them are cars
+
+
+def test_a_block_of_minutes_has_its_own_background(
+    recorded: tuple[FrameStore, list[AnnotatedInstant], list[np.ndarray]], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    store, instants, _ = recorded
+    made: list[int] = []
+
+    def background(images: list[np.ndarray], boxes: list[np.ndarray]) -> StillBackground:
+        made.append(len(images))
+        return still_background(images, boxes)
+
+    monkeypatch.setattr(edges, "still_background", background)
+    monkeypatch.setattr(edges, "_BLOCK_S", 4.0)
+    assert len(list(refine_all(store, instants, DetectConfig(), silent))) == len(instants)
+    assert len(made) == 3 and sum(made) == len(instants)

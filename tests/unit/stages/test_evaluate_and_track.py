@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+import torch
 
 from tests.builders import corner_rig, site_of
 from wibam_core.config import EvaluateConfig, TrackConfig
@@ -191,6 +192,15 @@ def test_labels_between_the_instants_of_the_split_are_used(context: StageContext
     assert metrics["finetuned"]["matched"] == 2 * 2 * len(RIG)
     kept = read_vehicles3d(context.output / "predictions_finetuned.parquet")
     assert {v.time_ns for v in kept} == {*split, *times}
+
+
+def test_a_network_that_was_trained_on_a_gpu_is_used_without_one(
+    context: StageContext, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(torch.cuda, "is_available", lambda: False)
+    (context.upstream["finetune"] / "curves.json").write_text(json.dumps({"decode": "plane", "device": "cuda"}))
+    assert evaluate.run(context, EvaluateConfig())["labels"] == "hand"
+    assert track.run(context, TrackConfig())["tracks"] == 2
 
 
 def test_an_empty_test_part_is_too_few_instants(context: StageContext) -> None:

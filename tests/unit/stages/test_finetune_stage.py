@@ -15,7 +15,8 @@ from wibam_core.formats.annotations import write_annotations
 from wibam_core.formats.rig import write_rig
 from wibam_core.formats.vehicles3d import write_vehicles3d
 from wibam_core.models.onnx_network import OnnxNetwork
-from wibam_core.models.weights import load_network
+from wibam_core.models.usage import Usage
+from wibam_core.models.weights import load_network, usage_of
 from wibam_core.progress import silent
 from wibam_core.stages import finetune
 from wibam_core.stages.base import StageContext
@@ -54,6 +55,10 @@ def test_writes_weights_and_curves(tmp_path: Path) -> None:
     torch.testing.assert_close(vars(found), vars(expected), atol=1e-3, rtol=0)
     curves = json.loads((context.output / "curves.json").read_text())
     assert curves["decode"] == "plane"
+    said = Usage("plane", curves["sd_factors"])
+    assert said.sd_factors.keys() == {"position", "z", "size", "yaw"}
+    assert usage_of(context.output / "weights.safetensors") == said
+    assert OnnxNetwork.load(context.output / "weights.onnx").usage == said
     assert [epoch["step"] for epoch in curves["epochs"]] == [1, 2]
     assert all({"heat", "yaw", "total"} <= epoch["validation"].keys() for epoch in curves["epochs"])
     assert summary["train_frames"] == 6

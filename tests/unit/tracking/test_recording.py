@@ -33,7 +33,8 @@ def test_rows_above_the_horizon_never_meet_the_ground() -> None:
 def test_the_real_clip_is_tracked_without_a_calibration(assets: Path) -> None:
     frames = islice(decode(assets / "footage" / "traffic.mp4"), 0, 64, 4)
     network = load_network(bundled("mono_small.safetensors"))
-    tracks = track_recording(network, frames, nominal_camera(640, 360), TrackConfig(min_score=0.1, min_hits=1))
+    config = TrackConfig(min_score=0.1, min_hits=1)
+    tracks = track_recording(network, frames, nominal_camera(640, 360), config, decode="plane")
     for track in tracks:
         assert np.isfinite(track.boxes).all()
         assert np.isfinite(track.velocities_mps).all()

@@ -1,5 +1,6 @@
 """Where training runs: the choice of a device, precisions, and several processes that are one."""
 
+import zipfile
 from pathlib import Path
 
 import pytest
@@ -14,9 +15,9 @@ from wibam_core.models.small import SmallNetwork
 from wibam_core.models.trunk import TrunkShape
 from wibam_core.progress import silent
 from wibam_core.training import distributed
-from wibam_core.training.checkpoint import read_checkpoint
+from wibam_core.training.checkpoint import read_checkpoint, write_checkpoint
 from wibam_core.training.dataset import site_views
-from wibam_core.training.device import Precision, choose_device
+from wibam_core.training.device import Precision, choose_device, choose_device_to_detect
 from wibam_core.training.distributed import Ranks, usable_devices
 from wibam_core.training.finetune import FinetuneResult, SiteDataset, finetune, finetune_on
 
@@ -95,6 +96,32 @@ def test_cuda_is_refused_where_there_is_none(
     with pytest.raises(InvalidOption, match="no CUDA device"):
         finetune(without_batch_statistics(), dataset, options(device="cuda"), silent, tmp_path / "none")
     assert not (tmp_path / "none").exists()
+
+
+def test_the_device_of_detection_is_trainings_or_the_cpu(monkeypatch: pytest.MonkeyPatch) -> None:
+    for there, expected in ((False, "cpu"), (True, "cuda")):
+        monkeypatch.setattr(torch.cuda, "is_available", lambda there=there: there)
+        assert [choose_device_to_detect(option).type for option in ("auto", "cpu", "cuda")] == [
+            expected,
+            "cpu",
+            expected,
+        ]
+
+
+def test_a_checkpoint_of_a_gpu_is_read_onto_the_cpu(tmp_path: Path) -> None:
+    """As it is written on a GPU: only the name of the device in the file's table is another."""
+    write_checkpoint(tmp_path / "cpu.pt", {"weights": torch.arange(3.0)})
+    with zipfile.ZipFile(tmp_path / "cpu.pt") as source, zipfile.ZipFile(tmp_path / "cuda.pt", "w") as written:
+        for name in source.namelist():
+            content = source.read(name)
+            if name.endswith("/data.pkl"):
+                assert content.count(b"\x03\0\0\0cpu") == 1
+                content = content.replace(b"\x03\0\0\0cpu", b"\x06\0\0\0cuda:0")
+            written.writestr(name, content)
+    state = read_checkpoint(tmp_path / "cuda.pt")
+    assert state is not None
+    assert state["weights"].device == CPU
+    assert state["weights"].tolist() == [0.0, 1.0, 2.0]
 
 
 def test_the_scale_of_half_precision_survives_an_interruption(dataset: SiteDataset, tmp_path: Path) -> None:

@@ -114,6 +114,19 @@ def test_a_loss_that_is_not_finite_names_the_frames(site: TinySite, tmp_path: Pa
     assert any(camera in caught.value.message for camera in site.rig)
 
 
+def test_a_validation_loss_that_is_not_finite_names_the_frames(site: TinySite, tmp_path: Path) -> None:
+    spoilt = network()
+
+    def spoil(fraction: float, message: str = "", **figures: float) -> None:
+        if fraction == 1.0:
+            spoilt.heads["size"].get_parameter("bias").data.fill_(float("nan"))
+
+    dataset = dataset_of(site)
+    with pytest.raises(NonFiniteLoss) as caught:
+        finetune(spoilt, replace(dataset, validation=dataset.train[:3]), options(steps=2), spoil, tmp_path)
+    assert caught.value.details["step"] == 2
+
+
 def test_training_needs_frames_and_placed_vehicles(site: TinySite, tmp_path: Path) -> None:
     dataset = dataset_of(site)
     with pytest.raises(TooFewInstants):

@@ -259,6 +259,7 @@ def test_a_box_that_is_not_finite_is_not_passed_over() -> None:
         ({"own_view": True}, r"finetune\.own_view: it does nothing with method 'lifted', only with 'paper' and"),
         ({"box_heads": True}, r"finetune\.box_heads: it does nothing with method 'lifted', only with 'paper'"),
         ({"method": "combined", "box_heads": True}, r"finetune\.box_heads: it does nothing with method 'combined'"),
+        ({"method": "paper", "decode": "fused"}, r"finetune\.decode: method 'paper' teaches no uncertainties"),
         ({"multiview_weight": 0.2}, r"finetune\.multiview_weight: it does nothing with method 'lifted'"),
         ({"method": "paper", "multiview_weight": 0.2}, r"finetune\.multiview_weight: .* only with 'combined'"),
     ],
