@@ -44,7 +44,7 @@ fix: $(READY) ## format the code and mend what the linter can mend
 
 weights: $(READY) ## train the bundled networks again from simulated images (hours on one core): build/weights
 	$(BIN)/python -m wibam_core.training.pretrain_detector --out build/weights
-	$(BIN)/python -m wibam_core.training.pretrain_refiner --out build/weights
+	$(BIN)/python -m wibam_core.training.pretrain_refiner --out build/weights/refiner
 	$(BIN)/python -m wibam_core.training.pretrain --out build/weights/1 --steps 4500 --images 3000 --seed 0 \
 		--rendered 544 384 --zoom 0.7 1.45
 	$(BIN)/python -m wibam_core.training.pretrain --out build/weights/2 --steps 4000 --images 6000 --shard 400 \

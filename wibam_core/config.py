@@ -80,6 +80,11 @@ class LiftConfig(StageConfig):
 _METHODS_WITH = {"own_view": ("paper", "combined"), "box_heads": ("paper",), "multiview_weight": ("combined",)}
 
 
+def _refusal(message: str) -> pydantic_core.PydanticCustomError:
+    """Of an option beside others, said as it stands; braces in the sentence mean nothing."""
+    return pydantic_core.PydanticCustomError("refused", "{message}", {"message": message})
+
+
 class FinetuneConfig(StageConfig):
     method: Literal["lifted", "paper", "combined"] = Field(
         "lifted",
@@ -121,16 +126,16 @@ class FinetuneConfig(StageConfig):
     @classmethod
     def _has_uncertainties(cls, value: str, info: pydantic.ValidationInfo) -> str:
         if value == "fused" and info.data.get("method") == "paper":
-            message = "method 'paper' teaches no uncertainties to fuse by, only 'plane' and 'depth' are possible"
-            raise pydantic_core.PydanticCustomError("no_uncertainties", "{message}", {"message": message})
+            raise _refusal("method 'paper' teaches no uncertainties to fuse by, only 'plane' and 'depth' are possible")
         return value
 
     @pydantic.field_validator("network")
     @classmethod
     def _can_be_decoded(cls, value: str, info: pydantic.ValidationInfo) -> str:
         if value == "custom" and info.data.get("decode") == "fused":
-            message = "'custom' has no uncertainties for finetune.decode 'fused', only 'plane' and 'depth' are possible"
-            raise pydantic_core.PydanticCustomError("no_uncertainties", "{message}", {"message": message})
+            raise _refusal(
+                "'custom' has no uncertainties for finetune.decode 'fused', only 'plane' and 'depth' are possible"
+            )
         return value
 
     @pydantic.field_validator(*_METHODS_WITH)
@@ -140,8 +145,7 @@ class FinetuneConfig(StageConfig):
         methods = _METHODS_WITH[str(info.field_name)]
         if value and info.data.get("method", methods[0]) not in methods:
             useful = " and ".join(map(repr, methods))
-            message = f"it does nothing with method '{info.data['method']}', only with {useful}"
-            raise pydantic_core.PydanticCustomError("no_effect", "{message}", {"message": message})
+            raise _refusal(f"it does nothing with method '{info.data['method']}', only with {useful}")
         return value
 
 

@@ -80,7 +80,6 @@ class StageSpec:
         return tuple(name for name in self.assets if name != "network" or config.finetune.network == "custom")
 
 
-_NETWORK = ("models", "detection")
 _SPECS = (
     StageSpec(
         "preflight",

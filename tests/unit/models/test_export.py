@@ -9,7 +9,8 @@ import pytest
 import torch
 
 from wibam_core.models.detector2d import Detector2D, ExportedDetector2D
-from wibam_core.models.export import export_detector2d
+from wibam_core.models.export import export_detector2d, export_refiner2d
+from wibam_core.models.refiner2d import Refiner2D
 from wibam_core.models.trunk import TrunkShape
 from wibam_core.scene import CLASSES
 
@@ -39,3 +40,20 @@ def test_the_onnx_file_agrees_with_the_network_at_any_size(tmp_path: Path) -> No
         np.testing.assert_allclose(heat[both], expected_heat.numpy()[both], atol=1e-4)
         np.testing.assert_allclose(ltrb, expected_ltrb.numpy(), rtol=1e-3)
         assert (ltrb > 0).all()
+
+
+@pytest.mark.filterwarnings("ignore::DeprecationWarning", "ignore::UserWarning")
+def test_the_exported_refiner_agrees_with_the_network_for_any_number_of_crops(tmp_path: Path) -> None:
+    torch.manual_seed(0)
+    refiner = Refiner2D().eval()
+    path = tmp_path / "refiner.onnx"
+    export_refiner2d(refiner, path, 64)
+    session = onnxruntime.InferenceSession(str(path), providers=["CPUExecutionProvider"])
+    assert session.get_modelmeta().custom_metadata_map["family"] == "wibam-edges"
+    for count in (1, 5):
+        crops = torch.rand(count, 7, 64, 64)
+        with torch.inference_mode():
+            wanted = refiner(crops)
+        given = session.run(["edges", "log_scale", "classes"], {"image": crops.numpy()})
+        for mine, theirs in zip(given, wanted, strict=True):
+            np.testing.assert_allclose(mine, theirs.numpy(), atol=1e-4)
