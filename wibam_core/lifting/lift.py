@@ -17,18 +17,21 @@ from wibam_core.geometry.se3 import SE3, normalise_angle
 from wibam_core.geometry.torch_ops import CameraTensors
 from wibam_core.lifting.confidence import confidence
 from wibam_core.lifting.fit import YAW, Fit, FitProblem, fit, joined, with_bodies, with_noise, yaw_starts
+from wibam_core.lifting.headings import headings
 from wibam_core.lifting.noise import noise_of, persistence
 from wibam_core.lifting.observations import Observations, observe
 from wibam_core.lifting.orientation import standing_headings
 from wibam_core.lifting.shapes import Shapes, learn_shapes
 from wibam_core.lifting.sizes import size_information, track_sizes
 from wibam_core.lifting.templates import LOG_SIZE_MEAN, LOG_SIZE_SD, TEMPLATES
-from wibam_core.lifting.trajectory import Motion, Tracks, headings, smooth
+from wibam_core.lifting.trajectory import Motion, Tracks, smooth
 from wibam_core.progress import Progress, silent
 from wibam_core.scene import AnnotatedInstant, CameraRig, FloatArray, Vehicles3D
 
 #: Of a cluster of rays, and of a single ray, m.
 _CLUSTER_SD_M, _RAY_SD_M = 0.7, 3.0
+#: By this much the places of clusters and of single fits jump where the cameras that see a vehicle change, m.
+_CLUSTER_JUMP_M, _FIT_JUMP_M = 0.8, 0.4
 #: Fits are never trusted to be better than this: m, and share of a size (a body differs from its template).
 _POSITION_FLOOR_M = 0.05
 _SIZE_FLOOR = 0.02
@@ -102,7 +105,7 @@ def lift(
     views = seen.seen.sum(axis=1)
     cluster_sd = np.where(views >= config.min_views, _CLUSTER_SD_M, _RAY_SD_M)
     motion = smooth(tracks, seen.positions, cluster_sd[:, None, None] ** 2 * np.eye(2))
-    yaw, yaw_sd = _headings(tracks, motion, len(seen))
+    yaw, yaw_sd = _headings(tracks, motion, _CLUSTER_JUMP_M, len(seen))
     prior_mean, prior_sd = LOG_SIZE_MEAN[seen.classes], LOG_SIZE_SD[seen.classes]
 
     progress(0.1, f"fitting {len(seen)} vehicles one by one")
@@ -120,7 +123,7 @@ def lift(
 
     progress(0.5, "combining fits over tracks")
     motion = smooth(tracks, parameters[:, :2], covariance[:, :2, :2])
-    yaw, yaw_sd = _headings(tracks, motion, len(seen))
+    yaw, yaw_sd = _headings(tracks, motion, _FIT_JUMP_M, len(seen))
     standing = standing_headings(tracks, seen, parameters, covariance, yaw, yaw_sd, heading_hints or {})
     never = ~np.isfinite(yaw_sd)
     yaw, yaw_sd = np.where(never, standing.yaw_rad, yaw), np.where(never, standing.axis_sd_rad, yaw_sd)
@@ -170,9 +173,9 @@ def _worth_fitting(seen: Observations, min_views: int) -> Observations:
     return seen.where(enough | known)
 
 
-def _headings(tracks: Tracks, motion: Motion, count: int) -> tuple[FloatArray, FloatArray]:
+def _headings(tracks: Tracks, motion: Motion, jump_m: float, count: int) -> tuple[FloatArray, FloatArray]:
     """Yaw (N,) by motion and its s.d., infinite where the vehicle never moves."""
-    found = headings(tracks, motion)
+    found = headings(tracks, motion, jump_m)
     return tracks.scatter(found.yaw_rad, np.zeros(count)), tracks.scatter(found.sd_rad, np.full(count, np.inf))
 
 

@@ -1,4 +1,4 @@
-"""What time adds to single fits: smooth motion, and headings from it.
+"""What time adds to single fits: smooth motion.
 
 Many tracks are smoothed at once by a Rauch–Tung–Striebel smoother whose state is position and velocity under white
 acceleration; tracks are padded to a common length and processed in lockstep.
@@ -15,14 +15,6 @@ from wibam_core.scene import FloatArray, IntArray
 _ACCELERATION_MPS2 = 1.8
 _FIRST_SPEED_SD_MPS = 12.0
 _ROBUST_SD = 2.5
-#: A vehicle slower than this tells nothing of its heading.
-_MOVING_MPS = 1.5
-#: Headings from motion are never trusted to be better than this (rad): vehicles slip and drift in their lanes.
-_COURSE_FLOOR_RAD = 0.03
-#: Where the rear axle runs behind the centre, in lengths: in a bend the centre's course differs from the heading.
-_REAR_AXLE = 0.28
-_USUAL_LENGTH_M = 4.5
-_HELD_SD_RAD = 0.06
 
 
 @dataclass(frozen=True, eq=False)
@@ -136,32 +128,3 @@ def _rts(tracks: Tracks, measured: FloatArray, noise: FloatArray) -> Motion:
         states[:, k] += (back @ (states[:, k + 1] - prior)[..., None])[..., 0]
         covariances[:, k] += back @ (covariances[:, k + 1] - prior_covariance) @ back.transpose(0, 2, 1)
     return Motion(states, covariances)
-
-
-@dataclass(frozen=True, eq=False)
-class Headings:
-    """Heading by motion of M tracks: yaw (M, T) and its s.d. (M, T), rad; infinite for a track that never moves."""
-
-    yaw_rad: FloatArray
-    sd_rad: FloatArray
-
-
-def headings(tracks: Tracks, motion: Motion) -> Headings:
-    """Direction of travel where a vehicle moves; where it stands, what it was before and will be after."""
-    m, t = tracks.valid.shape
-    yaw, sd = np.zeros((m, t)), np.full((m, t), np.inf)
-    speed = np.linalg.norm(motion.velocity, axis=-1)
-    across = np.stack([-motion.velocity[..., 1], motion.velocity[..., 0]], axis=-1) / np.maximum(speed, 1e-6)[..., None]
-    variance = np.einsum("mti,mtij,mtj->mt", across, motion.covariance[..., 2:, 2:], across)
-    course_sd = np.sqrt(np.maximum(variance, 0)) / np.maximum(speed, 1e-6)
-    moving = tracks.valid & (speed > _MOVING_MPS) & (course_sd < 0.25)
-    for k in np.flatnonzero(moving.any(axis=1)):
-        at, times = moving[k], tracks.times_s[k]
-        course = np.unwrap(np.arctan2(motion.velocity[k, at, 1], motion.velocity[k, at, 0]))
-        yaw[k] = np.interp(times, times[at], course)
-        bend = np.abs(np.gradient(course, times[at])) / speed[k, at] if at.sum() > 1 else np.zeros(1)
-        slip = 0.5 * np.arctan(_REAR_AXLE * _USUAL_LENGTH_M * bend)
-        own = np.sqrt(course_sd[k, at] ** 2 + slip**2 + _COURSE_FLOOR_RAD**2)
-        held = np.interp(times, times[at], own)
-        sd[k] = np.where(at, held, np.hypot(held, _HELD_SD_RAD))
-    return Headings(yaw, sd)

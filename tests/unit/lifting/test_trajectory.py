@@ -1,17 +1,9 @@
 from __future__ import annotations
 
 import numpy as np
-import pytest
 
-from wibam_core.lifting.trajectory import Tracks, headings, smooth
-
-
-def drive(
-    path: np.ndarray, times_s: np.ndarray, noise_m: float = 0.3, seed: int = 0
-) -> tuple[Tracks, np.ndarray, np.ndarray]:
-    rng = np.random.default_rng(seed)
-    tracks = Tracks.group(np.zeros(len(path), np.int64), np.rint(times_s * 1e9).astype(np.int64))
-    return tracks, path + rng.normal(0, noise_m, path.shape), np.tile(noise_m**2 * np.eye(2), (len(path), 1, 1))
+from tests.unit.lifting.driving import drive
+from wibam_core.lifting.trajectory import Tracks, smooth
 
 
 def test_rows_are_grouped_by_track_in_order_of_time() -> None:
@@ -51,24 +43,3 @@ def test_tracks_of_unequal_length_do_not_disturb_each_other() -> None:
     both = Tracks.group(np.repeat([0, 1], [40, 7]), np.concatenate([times, times[:7]]).__mul__(1e9).astype(np.int64))
     together = smooth(both, np.concatenate([measured, measured[:7]]), np.concatenate([covariances, covariances[:7]]))
     assert np.allclose(together.state[0], alone.state[0], atol=1e-9)
-
-
-@pytest.mark.parametrize("way", [0.3, 2.9, -2.0])
-def test_a_vehicle_that_stops_keeps_its_heading(way: float) -> None:
-    times = np.arange(150) * 0.08
-    along = np.where(times < 4, 8 * times - times**2, 16.0) + np.where(times > 8, 1.0 * (times - 8) ** 2, 0.0)
-    path = along[:, None] * [np.cos(way), np.sin(way)]
-    tracks, measured, covariances = drive(path, times)
-    found = headings(tracks, smooth(tracks, measured, covariances))
-    error = np.abs((found.yaw_rad[0] - way + np.pi) % (2 * np.pi) - np.pi)
-    assert error.max() < 0.25
-    assert (error / found.sd_rad[0]).max() < 3.5
-    standing = (times > 4.5) & (times < 7.5)
-    assert found.sd_rad[0][standing].min() > found.sd_rad[0][~standing].min()
-    assert found.sd_rad.max() < 0.4
-
-
-def test_a_vehicle_that_never_moves_has_no_heading() -> None:
-    times = np.arange(100) * 0.08
-    tracks, measured, covariances = drive(np.zeros((100, 2)), times, noise_m=0.5)
-    assert np.isinf(headings(tracks, smooth(tracks, measured, covariances)).sd_rad).all()

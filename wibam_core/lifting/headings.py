@@ -1,0 +1,158 @@
+"""Headings of tracks from their motion: along the course where a vehicle moves, and held where it stands.
+
+A vehicle turns only as far as it drives. Places err by jumps whenever another camera begins or stops to see a vehicle,
+and a jump of a standing vehicle looks like motion. How far a course is believed therefore depends on the way made
+around it, and between two moments a heading may change only by what the way between them allows.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from wibam_core.geometry.se3 import normalise_angle
+from wibam_core.lifting.trajectory import Motion, Tracks
+from wibam_core.scene import FloatArray
+
+#: The way that a course is judged by is made within this many seconds before and after.
+_HALF_WINDOW_S = 1.5
+#: A track tells its heading if one of its courses is at least this certain, rad; worse ones than `_USELESS_SD_RAD` are
+#: not looked at.
+_KNOWN_SD_RAD = 0.35
+_USELESS_SD_RAD = 1.2
+#: A vehicle turns by about this much per metre that it drives.
+_TURN_RAD_PER_M = 0.15
+#: Variance of a heading before any course was seen, rad².
+_NOTHING_KNOWN = 1e6
+_ROBUST_SD = 2.5
+_ROBUST_PASSES = 2
+#: Courses are never trusted to be better than this (rad): vehicles slip and drift in their lanes.
+_COURSE_FLOOR_RAD = 0.03
+#: Where the rear axle runs behind the centre, in lengths: in a bend the centre's course differs from the heading.
+_REAR_AXLE = 0.28
+_USUAL_LENGTH_M = 4.5
+#: A vehicle slower than this stands, as far as its heading is concerned; a heading that is held is less certain.
+_MOVING_MPS = 1.5
+_HELD_SD_RAD = 0.06
+
+
+@dataclass(frozen=True, eq=False)
+class Headings:
+    """Heading by motion of M tracks: yaw (M, T) and its s.d. (M, T), rad; infinite for a track that never moves."""
+
+    yaw_rad: FloatArray
+    sd_rad: FloatArray
+
+
+@dataclass(frozen=True, eq=False)
+class _Way:
+    """Of every moment (M, T): the way made around it and the speed that this amounts to, less what jumps explain."""
+
+    made_m: FloatArray
+    speed_mps: FloatArray
+
+
+def headings(tracks: Tracks, motion: Motion, jump_m: float) -> Headings:
+    """Direction of travel where a vehicle moves; where it stands, what it was before and will be after.
+
+    Args:
+        tracks: M tracks of at most T observations.
+        motion: of them, smoothed.
+        jump_m: standard deviation of the places' errors that do not average out over time.
+    """
+    way = _way(tracks, motion, jump_m)
+    speed = np.linalg.norm(motion.velocity, axis=-1)
+    course = np.arctan2(motion.velocity[..., 1], motion.velocity[..., 0])
+    course_sd = np.hypot(_course_sd(motion, speed), np.sqrt(2) * jump_m / np.maximum(way.made_m, 1e-6))
+    told = tracks.valid & (course_sd < _USELESS_SD_RAD)
+    known = (told & (course_sd < _KNOWN_SD_RAD)).any(axis=1)
+    noise = np.where(told, course_sd**2 + _COURSE_FLOOR_RAD**2, np.inf)
+    step = np.diff(tracks.times_s, axis=1)
+    turn = (_TURN_RAD_PER_M * 0.5 * (way.speed_mps[:, 1:] + way.speed_mps[:, :-1]) * step) ** 2 + 1e-8
+    measured = _unwrapped(course, noise, turn)
+    yaw, variance = _smoothed(measured, noise, turn)
+    for _ in range(_ROBUST_PASSES):
+        off = np.where(told, measured - yaw, 0.0)
+        yaw, variance = _smoothed(measured, noise + (off / _ROBUST_SD) ** 2, turn)
+    slip = _slip(tracks, yaw, speed)
+    held = np.where(speed > _MOVING_MPS, 0.0, _HELD_SD_RAD)
+    sd = np.sqrt(variance + _COURSE_FLOOR_RAD**2 + slip**2 + held**2)
+    return Headings(np.where(known[:, None], yaw, 0.0), np.where(known[:, None], sd, np.inf))
+
+
+def _way(tracks: Tracks, motion: Motion, jump_m: float) -> _Way:
+    made, speed = np.zeros(tracks.valid.shape), np.zeros(tracks.valid.shape)
+    for k, count in enumerate(tracks.valid.sum(axis=1)):
+        times, places = tracks.times_s[k, :count], motion.position[k, :count]
+        first, last = np.maximum(times - _HALF_WINDOW_S, times[0]), np.minimum(times + _HALF_WINDOW_S, times[-1])
+        moved = [np.interp(last, times, places[:, axis]) - np.interp(first, times, places[:, axis]) for axis in (0, 1)]
+        made[k, :count] = np.hypot(*moved)
+        beyond = np.maximum(made[k, :count] - 1.5 * jump_m, 0.0)
+        speed[k, :count] = beyond / np.maximum(last - first, 1e-3)
+    return _Way(made, speed)
+
+
+def _course_sd(motion: Motion, speed: FloatArray) -> FloatArray:
+    """(M, T) s.d. of the direction of the velocity."""
+    across = np.stack([-motion.velocity[..., 1], motion.velocity[..., 0]], axis=-1) / np.maximum(speed, 1e-6)[..., None]
+    variance = np.einsum("mti,mtij,mtj->mt", across, motion.covariance[..., 2:, 2:], across)
+    return np.asarray(np.sqrt(np.maximum(variance, 0)) / np.maximum(speed, 1e-6))
+
+
+def _unwrapped(course: FloatArray, noise: FloatArray, turn: FloatArray) -> FloatArray:
+    """The courses (M, T) without jumps by whole turns, followed outwards from each track's most certain one."""
+    m, t = course.shape
+    result = course.copy()
+    if not m or not t:
+        return result
+    rows = np.arange(m)
+    seed = noise.argmin(axis=1)
+    for direction in (1, -1):
+        yaw, variance = course[rows, seed], np.minimum(noise[rows, seed], _NOTHING_KNOWN)
+        for step in range(1, t):
+            at = seed + direction * step
+            inside = (at >= 0) & (at < t)
+            at = np.clip(at, 0, t - 1)
+            between = np.minimum(at, at - direction)
+            variance = variance + turn[rows, np.clip(between, 0, t - 2)]
+            off = normalise_angle(course[rows, at] - yaw)
+            gain = variance / (variance + noise[rows, at] + (off / _ROBUST_SD) ** 2)  # 0 where the noise is infinite
+            gain = np.where(inside, gain, 0.0)
+            result[rows[inside], at[inside]] = (yaw + off)[inside]
+            yaw, variance = yaw + gain * off, variance * (1 - gain)
+    return result
+
+
+def _smoothed(measured: FloatArray, noise: FloatArray, turn: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Random walk with step variances ``turn`` (M, T − 1) through measurements: mean and variance (M, T) (RTS)."""
+    m, t = measured.shape
+    mean, variance = np.zeros((m, t)), np.full((m, t), _NOTHING_KNOWN)
+    if not m or not t:
+        return mean, variance
+    now, now_variance = np.zeros(m), np.full(m, _NOTHING_KNOWN)
+    for k in range(t):
+        if k:
+            now_variance = now_variance + turn[:, k - 1]
+        gain = np.where(np.isfinite(noise[:, k]), now_variance / (now_variance + noise[:, k]), 0.0)
+        now, now_variance = now + gain * (measured[:, k] - now), now_variance * (1 - gain)
+        mean[:, k], variance[:, k] = now, now_variance
+    for k in range(t - 2, -1, -1):
+        prior = variance[:, k] + turn[:, k]
+        back = variance[:, k] / prior
+        mean[:, k] += back * (mean[:, k + 1] - mean[:, k])
+        variance[:, k] += back**2 * (variance[:, k + 1] - prior)
+    return mean, variance
+
+
+def _slip(tracks: Tracks, yaw: FloatArray, speed: FloatArray) -> FloatArray:
+    """(M, T) how far, in a bend, the course of the centre may be off the heading (rad)."""
+    step = np.diff(tracks.times_s, axis=1)
+    rate: NDArray[np.float64] = np.zeros_like(yaw)
+    if step.shape[1]:
+        change = np.abs(np.diff(yaw, axis=1)) / np.maximum(step, 1e-3)
+        rate[:, 1:] += change / 2
+        rate[:, :-1] += change / 2
+    bend = np.where(speed > _MOVING_MPS, rate / np.maximum(speed, 1e-6), 0.0)
+    return np.asarray(0.5 * np.arctan(_REAR_AXLE * _USUAL_LENGTH_M * bend))
