@@ -2,7 +2,8 @@
 
 Rows per site and seed:
 
-- ``baseline``: the bundled network, placed by the ground plane, and ``baseline_depth``: by its own depth.
+- ``baseline``: the bundled network, placed by the ground plane; ``baseline_depth``: by its own depth;
+  ``baseline_fused``: by both, as what is fine-tuned on the fits.
 - the methods of `TRAINED`, among them ``paper``: fine-tuned with the published loss (Howe et al. 2021, eq. 1), and
   ``lifted``: fine-tuned on the fits to all views, the default.
 - ``truth``: the same training on the true boxes of the same vehicles: what better labels could give.
@@ -43,6 +44,9 @@ from benchmarks.learning_sites import (
 from wibam_core.config import FinetuneConfig
 from wibam_core.models.decode import Decode
 
+#: The bundled network -> how its boxes are placed.
+BASELINES: Mapping[str, Decode] = {"baseline_depth": "depth", "baseline": "plane", "baseline_fused": "fused"}
+
 #: Method -> options of fine-tuning.
 TRAINED: Mapping[str, Mapping[str, Any]] = {
     "paper": {"method": "paper"},
@@ -51,11 +55,11 @@ TRAINED: Mapping[str, Mapping[str, Any]] = {
     "paper_code": {"method": "paper", "own_view": True, "box_heads": True, "decode": "depth"},
     "lifted": {"method": "lifted"},
     "lifted_depth": {"method": "lifted", "decode": "depth"},
-    "lifted_fused": {"method": "lifted", "decode": "fused"},
+    "lifted_plane": {"method": "lifted", "decode": "plane"},
     "combined": {"method": "combined"},
 }
-METHODS = ("baseline_depth", "baseline", *TRAINED, "truth", "labels")
-DEFAULT_METHODS = ("baseline_depth", "baseline", "paper", "lifted", "truth", "labels")
+METHODS = (*BASELINES, *TRAINED, "truth", "labels")
+DEFAULT_METHODS = (*BASELINES, "paper", "lifted", "truth", "labels")
 
 
 def runs_of(arguments: argparse.Namespace) -> Iterator[Run]:
@@ -75,7 +79,7 @@ def runs_of(arguments: argparse.Namespace) -> Iterator[Run]:
 
 def options_of(method: str, seed: int, steps: int) -> dict[str, Any] | None:
     """Options of fine-tuning; None where nothing is trained."""
-    if method == "labels" or method.startswith("baseline"):
+    if method == "labels" or method in BASELINES:
         return None
     return {**TRAINED.get(method, {"method": "lifted"}), "seed": seed, "steps": steps}
 
@@ -92,8 +96,7 @@ def row(site: Site, run: Run) -> Figures:
 def trained_by(site: Site, method: str, options: Mapping[str, Any] | None) -> Trained:
     """The network of a method, trained where it is to be trained."""
     if options is None:
-        decode: Decode = "depth" if method == "baseline_depth" else "plane"
-        return bundled_network(decode)
+        return bundled_network(BASELINES[method])
     if method != "truth":
         return finetuned_by_stage(site, options)
     train, validation = (views(site, part, true_lifts(site)) for part in ("train", "val"))

@@ -85,18 +85,23 @@ def _refusal(message: str) -> pydantic_core.PydanticCustomError:
     return pydantic_core.PydanticCustomError("refused", "{message}", {"message": message})
 
 
+def _usual_decode(others: dict[str, Any]) -> Literal["plane", "depth", "fused"]:
+    """How boxes are placed unless options say, by the options before."""
+    return "plane" if others.get("method") == "paper" or others.get("network") == "custom" else "fused"
+
+
 class FinetuneConfig(StageConfig):
     method: Literal["lifted", "paper", "combined"] = Field(
         "lifted",
         description="'lifted': boxes fitted to all views; 'paper': eq. 1 of the published method; 'combined': both",
     )
-    decode: Literal["plane", "depth", "fused"] = Field(
-        "plane",
-        description="how boxes are placed along the ray: by the ground plane, the regressed depth, or both by their"
-        " regressed uncertainties",
-    )
     network: Literal["small", "custom"] = Field(
         "small", description="'custom': the site's own network.safetensors (a converted CenterTrack DLA-34)"
+    )
+    decode: Literal["plane", "depth", "fused"] = Field(
+        default_factory=_usual_decode,
+        description="how boxes are placed along the ray: by the ground plane, the regressed depth, or both by their"
+        " regressed uncertainties; unless given, 'fused', or 'plane' where none are learned",
     )
     device: Literal["auto", "cpu", "cuda"] = Field(
         "auto", description="where to train; 'auto': on all CUDA devices that are visible, or else on the CPU"
@@ -124,18 +129,11 @@ class FinetuneConfig(StageConfig):
 
     @pydantic.field_validator("decode")
     @classmethod
-    def _has_uncertainties(cls, value: str, info: pydantic.ValidationInfo) -> str:
+    def _can_be_decoded(cls, value: str, info: pydantic.ValidationInfo) -> str:
         if value == "fused" and info.data.get("method") == "paper":
             raise _refusal("method 'paper' teaches no uncertainties to fuse by, only 'plane' and 'depth' are possible")
-        return value
-
-    @pydantic.field_validator("network")
-    @classmethod
-    def _can_be_decoded(cls, value: str, info: pydantic.ValidationInfo) -> str:
-        if value == "custom" and info.data.get("decode") == "fused":
-            raise _refusal(
-                "'custom' has no uncertainties for finetune.decode 'fused', only 'plane' and 'depth' are possible"
-            )
+        if value == "fused" and info.data.get("network") == "custom":
+            raise _refusal("network 'custom' has no uncertainties to fuse by, only 'plane' and 'depth' are possible")
         return value
 
     @pydantic.field_validator(*_METHODS_WITH)
@@ -153,7 +151,7 @@ class EvaluateConfig(StageConfig):
     max_range_m: float = Field(50.0, gt=0, description="labels farther from the camera are not counted")
     min_visibility: float = Field(0.3, ge=0, le=1, description="labels less visible are not counted")
     match_distance_m: float = Field(4.0, gt=0, description="a detection farther than this from a label is no match")
-    min_score: float = Field(0.3, ge=0, lt=1)
+    min_score: float = Field(0.25, ge=0, lt=1)
 
 
 class TrackConfig(StageConfig):

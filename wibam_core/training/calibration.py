@@ -13,6 +13,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from wibam_core.config import EvaluateConfig
 from wibam_core.evaluation.matching import match_on_ground
 from wibam_core.evaluation.metrics import box_errors
 from wibam_core.evaluation.uncertainty import SdFactors
@@ -27,7 +28,7 @@ from wibam_core.training.finetune import SiteDataset
 #: Looked at, at most, evenly spread.
 _MAX_VIEWS = 240
 #: As detections are used later.
-_MIN_SCORE = 0.3
+_MIN_SCORE = EvaluateConfig().min_score
 #: A detection farther than this from a fit is no match, m.
 _MATCH_DISTANCE_M = 4.0
 

@@ -184,8 +184,8 @@ def test_combined_is_the_lifted_loss_and_a_share_of_the_multi_view_loss(
     lifted = LiftedObjective("plane")(outputs, targets, SIZES, others)
     paper = PaperObjective("plane")(outputs, targets, SIZES, others)
     for config, weight in (
-        (FinetuneConfig(method="combined"), DEFAULT_MULTIVIEW_WEIGHT),
-        (FinetuneConfig(method="combined", multiview_weight=0.5), 0.5),
+        (FinetuneConfig(method="combined", decode="plane"), DEFAULT_MULTIVIEW_WEIGHT),
+        (FinetuneConfig(method="combined", decode="plane", multiview_weight=0.5), 0.5),
     ):
         parts = objective_of(config)(outputs, targets, SIZES, others)
         assert parts.keys() == lifted.keys() | {"multiview"}
@@ -268,6 +268,17 @@ def test_options_that_do_nothing_are_refused(options: dict[str, object], said: s
     with pytest.raises(InvalidOption, match=said) as caught:
         PipelineConfig.parse({"finetune": options})
     assert caught.value.details["option"].startswith("finetune.")
+
+
+def test_boxes_are_placed_by_what_the_method_teaches_unless_options_say() -> None:
+    for options, decode in (
+        ({}, "fused"),
+        ({"method": "combined"}, "fused"),
+        ({"method": "paper"}, "plane"),
+        ({"network": "custom"}, "plane"),
+        ({"decode": "depth"}, "depth"),
+    ):
+        assert PipelineConfig.parse({"finetune": options}).finetune.decode == decode
 
 
 def test_options_survive_being_stored() -> None:
