@@ -19,7 +19,7 @@ from matplotlib.figure import Figure
 from benchmarks.learning_options import command_of, made_rows, site_parser
 from benchmarks.learning_report import caveats, save, share_of_gain
 from benchmarks.learning_rows import Row, Run, mean_of
-from benchmarks.learning_sites import CHOSEN_ON, Figures, Site, bundled_network, figures, finetuned_on, views
+from benchmarks.learning_sites import CHOSEN_ON, Figures, Site, figures, finetuned_on, untrained, views
 from wibam_core.config import FinetuneConfig
 from wibam_core.report.style import BASELINE, FINETUNED, new_figure, tidy
 
@@ -55,7 +55,7 @@ def row(site: Site, run: Run) -> Figures:
     share = run["share"]
     about: Figures = {"chosen_on": site.number in CHOSEN_ON, "minutes": share * site.minutes, "vehicles": 0}
     if share == 0:
-        return {**about, **figures(site, bundled_network("plane"))}
+        return {**about, **figures(site, untrained(site, "plane"))}
     train, validation = (views(site, part, site.lifts) for part in ("train", "val"))
     times = site.split.times_ns["train"]
     last_ns = times[max(1, round(share * len(times))) - 1]

@@ -15,6 +15,8 @@ made are made again, but with ``--keep``; ``--draw`` joins the rows of files and
 
 Run: python -m benchmarks.learning --sites 501 502 --seeds 0 --seconds 90 --steps 350 --out docs
 Short, about five minutes on two idle cores: python -m benchmarks.learning --short
+Full, with a CenterTrack network of yours, on a GPU where there is one:
+python -m benchmarks.learning --network network.safetensors --seconds 600 --steps 6000 --seeds 0 1 2
 Join: python -m benchmarks.learning --draw build/a/learning.json build/b/learning.json --out docs
 """
 
@@ -33,18 +35,19 @@ from benchmarks.learning_sites import (
     Figures,
     Site,
     Trained,
-    bundled_network,
     figures,
     finetuned_by_stage,
     finetuned_on,
     label_figures,
     true_lifts,
+    untrained,
     views,
 )
 from wibam_core.config import FinetuneConfig
 from wibam_core.models.decode import Decode
+from wibam_core.stages.store import sha256_of
 
-#: The bundled network -> how its boxes are placed.
+#: The network before training -> how its boxes are placed.
 BASELINES: Mapping[str, Decode] = {"baseline_depth": "depth", "baseline": "plane", "baseline_fused": "fused"}
 
 #: Method -> options of fine-tuning.
@@ -59,11 +62,16 @@ TRAINED: Mapping[str, Mapping[str, Any]] = {
     "combined": {"method": "combined"},
 }
 METHODS = (*BASELINES, *TRAINED, "truth", "labels")
+#: How a network of the user's is named in commands that are written down; what a command's runs have in common.
+_OWN_NETWORK = "network.safetensors"
+_Common = tuple[float, float, str | None]
 DEFAULT_METHODS = (*BASELINES, "paper", "lifted", "truth", "labels")
 
 
 def runs_of(arguments: argparse.Namespace) -> Iterator[Run]:
-    """What there is to run."""
+    """What there is to run; a network of the user's is known by its digest."""
+    network: Path | None = arguments.network
+    own = {} if network is None else {"network": sha256_of(network)}
     for number in arguments.sites:
         for seed in arguments.seeds:
             for method in arguments.methods:
@@ -73,15 +81,17 @@ def runs_of(arguments: argparse.Namespace) -> Iterator[Run]:
                     "method": method,
                     "seconds": arguments.seconds,
                     "density": arguments.density,
-                    "finetune": options_of(method, seed, arguments.steps),
+                    "finetune": options_of(method, seed, arguments.steps, custom=network is not None),
+                    **own,
                 }
 
 
-def options_of(method: str, seed: int, steps: int) -> dict[str, Any] | None:
+def options_of(method: str, seed: int, steps: int, *, custom: bool = False) -> dict[str, Any] | None:
     """Options of fine-tuning; None where nothing is trained."""
     if method == "labels" or method in BASELINES:
         return None
-    return {**TRAINED.get(method, {"method": "lifted"}), "seed": seed, "steps": steps}
+    network = {"network": "custom"} if custom else {}
+    return {**TRAINED.get(method, {"method": "lifted"}), **network, "seed": seed, "steps": steps}
 
 
 def row(site: Site, run: Run) -> Figures:
@@ -96,7 +106,7 @@ def row(site: Site, run: Run) -> Figures:
 def trained_by(site: Site, method: str, options: Mapping[str, Any] | None) -> Trained:
     """The network of a method, trained where it is to be trained."""
     if options is None:
-        return bundled_network(BASELINES[method])
+        return untrained(site, BASELINES[method])
     if method != "truth":
         return finetuned_by_stage(site, options)
     train, validation = (views(site, part, true_lifts(site)) for part in ("train", "val"))
@@ -105,22 +115,23 @@ def trained_by(site: Site, method: str, options: Mapping[str, Any] | None) -> Tr
 
 def commands_of(rows: Sequence[Row]) -> list[str]:
     """What to type for these rows: as few commands as there are kinds of runs."""
-    places: dict[tuple[int, int, float, float], list[Run]] = {}
+    places: dict[tuple[int, int, _Common], list[Run]] = {}
     for run in (row["run"] for row in rows):
-        places.setdefault((run["site"], run["seed"], run["seconds"], run["density"]), []).append(run)
+        common = (run["seconds"], run["density"], _OWN_NETWORK if "network" in run else None)
+        places.setdefault((run["site"], run["seed"], common), []).append(run)
     # what is run alike -> seed -> sites
-    alike: dict[tuple[float, float, int | None, tuple[str, ...]], dict[int, list[int]]] = {}
-    for (site, seed, seconds, density), runs in places.items():
+    alike: dict[tuple[_Common, int | None, tuple[str, ...]], dict[int, list[int]]] = {}
+    for (site, seed, common), runs in places.items():
         trained = sorted({run["finetune"]["steps"] for run in runs if run["finetune"] is not None})
         for steps in trained or [None]:
             mine = [run for run in runs if run["finetune"] is None or run["finetune"]["steps"] == steps]
             methods = tuple(sorted({run["method"] for run in mine}, key=_number))
-            alike.setdefault((seconds, density, steps, methods), {}).setdefault(seed, []).append(site)
+            alike.setdefault((common, steps, methods), {}).setdefault(seed, []).append(site)
     commands = []
-    for (seconds, density, steps, methods), sites_of in alike.items():
+    for ((seconds, density, network), steps, methods), sites_of in alike.items():
         for sites in dict.fromkeys(map(tuple, sites_of.values())):
             options: dict[str, Any] = {"sites": sites, "seeds": [s for s, of in sites_of.items() if tuple(of) == sites]}
-            options |= {"seconds": seconds, "density": density, "steps": steps, "methods": methods}
+            options |= {"seconds": seconds, "density": density, "steps": steps, "methods": methods, "network": network}
             commands.append(command_of("learning", **options))
     return commands
 
@@ -139,7 +150,10 @@ def parse() -> argparse.Namespace:
     parser = site_parser(__doc__, sites=[501, 502, 503], seconds=90.0)
     parser.add_argument("--seeds", type=int, nargs="+", default=[0])
     parser.add_argument("--steps", type=int, default=350)
-    parser.add_argument("--methods", nargs="+", choices=METHODS, default=list(DEFAULT_METHODS))
+    parser.add_argument("--methods", nargs="+", choices=METHODS)
+    parser.add_argument(
+        "--network", type=Path, metavar="FILE", help="fine-tune this DLA-34, as `wibam weights convert` writes it"
+    )
     parser.add_argument("--short", action="store_true", help="site 11, 40 s, 80 steps")
     parser.add_argument(
         "--draw",
@@ -149,6 +163,9 @@ def parse() -> argparse.Namespace:
         help="run nothing: join the rows of these files, of equal runs the first, and write all to --out",
     )
     arguments = parser.parse_args()
+    arguments.methods = arguments.methods or [
+        method for method in DEFAULT_METHODS if arguments.network is None or BASELINES.get(method) != "fused"
+    ]
     if arguments.short:
         arguments.sites, arguments.seeds, arguments.seconds, arguments.steps = [11], [0], 40.0, 80
     return arguments

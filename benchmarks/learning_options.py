@@ -35,7 +35,8 @@ def made_rows(
 
     @cache
     def site_of(number: int) -> Site:
-        return make_site(number, arguments.seconds, arguments.density, arguments.cache)
+        network = getattr(arguments, "network", None)
+        return make_site(number, arguments.seconds, arguments.density, arguments.cache, network)
 
     file = RowFile(arguments.out / f"{name}.json", fresh=arguments.fresh, keep=arguments.keep)
     return file.rows(runs, lambda run: figures(site_of(run["site"]), run))

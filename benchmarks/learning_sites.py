@@ -28,11 +28,12 @@ from wibam_core.formats.framestore import FrameStore
 from wibam_core.formats.labels import read_labels
 from wibam_core.formats.rig import read_rig
 from wibam_core.formats.vehicles3d import read_vehicles3d
+from wibam_core.models.centertrack import predict_vehicles
 from wibam_core.models.decode import Decode
+from wibam_core.models.dla34 import DLA34
 from wibam_core.models.inference import predict
-from wibam_core.models.small import SmallNetwork
 from wibam_core.models.stored_frames import stored_frames
-from wibam_core.models.weights import bundled, load_network
+from wibam_core.models.weights import Monocular, bundled, load_monocular
 from wibam_core.progress import silent
 from wibam_core.scene import AnnotatedInstant, CameraRig, FrameSet, Vehicles3D
 from wibam_core.stages.runner import SiteFolder, run_pipeline
@@ -41,6 +42,7 @@ from wibam_core.synthetic.options import SimulationOptions
 from wibam_core.synthetic.recorder import record_site
 from wibam_core.training.calibration import sd_factors
 from wibam_core.training.dataset import SiteView, site_views
+from wibam_core.training.device import choose_device_to_detect
 from wibam_core.training.finetune import SiteDataset, finetune
 
 #: Sites that were looked at while methods and options were chosen: their figures flatter what was chosen.
@@ -55,7 +57,7 @@ Figures = dict[str, Any]
 class Trained:
     """A network, how its boxes are placed, and what its standard deviations are multiplied with."""
 
-    network: SmallNetwork
+    network: Monocular
     decode: Decode
     factors: SdFactors
 
@@ -88,6 +90,11 @@ class Site:
         times = self.split.times_ns["train"]
         return (times[-1] - times[0]) * 1e-9 / 60
 
+    @property
+    def start(self) -> Path:
+        """The weights that fine-tuning starts from: the site's own, or else the bundled ones."""
+        return self.folder.assets.get("network", bundled("mono_small.safetensors"))
+
     @cached_property
     def test_frames(self) -> list[FrameSet]:
         times = set(self.split.times_ns["test"])
@@ -95,8 +102,8 @@ class Site:
 
     @cached_property
     def baseline(self) -> Evaluation:
-        """Of the bundled network on the ground plane, on the test part."""
-        return evaluation(self, detections(self, bundled_network("plane")))
+        """Of the network before training, on the ground plane, on the test part."""
+        return evaluation(self, detections(self, untrained(self, "plane")))
 
     def of(self, part: str) -> list[AnnotatedInstant]:
         """The instants of a part of the split."""
@@ -104,13 +111,23 @@ class Site:
         return [instant for instant in self.instants if instant.time_ns in times]
 
 
-def make_site(number: int, seconds: float, density: float, cache: Path) -> Site:
-    """Record, or take what was recorded before, and run the stages up to the fits."""
+def make_site(number: int, seconds: float, density: float, cache: Path, network: Path | None = None) -> Site:
+    """Record, or take what was recorded before, and run the stages up to the fits.
+
+    Args:
+        number: of the site, the seed of its simulation.
+        seconds: length of the recording.
+        density: of the traffic.
+        cache: where recordings and the stages' outputs are kept.
+        network: what fine-tuning starts from instead of the bundled network, as `wibam weights convert` writes it.
+    """
     folder = cache / f"site-{number}-{seconds:g}s-{density:g}"
     if not (folder / "site.json").is_file():
         options = SimulationOptions(seed=number, seconds=seconds, traffic_density=density, workers=2)
         record_site(folder, options)
     site, store = SiteFolder.load(folder), StageStore(folder / "outputs")
+    if network is not None:
+        site = replace(site, assets={**site.assets, "network": network})
     return site_of(number, site, store, run_pipeline(site, store, PipelineConfig(), until="lift").folders)
 
 
@@ -130,9 +147,9 @@ def site_of(number: int, folder: SiteFolder, store: StageStore, stages: Mapping[
     )
 
 
-def bundled_network(decode: Decode) -> Trained:
+def untrained(site: Site, decode: Decode) -> Trained:
     """What fine-tuning starts from."""
-    return Trained(load_network(bundled("mono_small.safetensors")), decode, SdFactors())
+    return Trained(load_monocular(site.start), decode, SdFactors())
 
 
 def finetuned_by_stage(site: Site, options: Mapping[str, Any]) -> Trained:
@@ -140,19 +157,17 @@ def finetuned_by_stage(site: Site, options: Mapping[str, Any]) -> Trained:
     config = PipelineConfig.parse({"finetune": dict(options)})
     done = run_pipeline(site.folder, site.store, config, until="finetune").folders["finetune"]
     curves = json.loads((done / "curves.json").read_text())
-    network = load_network(done / "weights.safetensors")
+    network = load_monocular(done / "weights.safetensors")
     return Trained(network, config.finetune.decode, SdFactors(**curves["sd_factors"]))
 
 
 def finetuned_on(
     site: Site, train: Sequence[SiteView], validation: Sequence[SiteView], config: FinetuneConfig
 ) -> Trained:
-    """Fine-tuned from the bundled network on other views or labels than a job would take."""
+    """Fine-tuned on other views or labels than a job would take."""
     data = SiteDataset(site.frames, site.rig, train, validation)
     with tempfile.TemporaryDirectory() as scratch:
-        base = bundled_network(config.decode).network
-        network = finetune(base, data, config, silent, Path(scratch)).network
-    assert isinstance(network, SmallNetwork)
+        network = finetune(load_monocular(site.start), data, config, silent, Path(scratch)).network
     return Trained(network, config.decode, sd_factors(network, data, config.decode))
 
 
@@ -186,7 +201,12 @@ def true_lifts(site: Site) -> list[Vehicles3D]:
 def detections(site: Site, trained: Trained) -> list[Vehicles3D]:
     """Of all frames of the test part; times are the instants."""
     frames = stored_frames(site.frames, site.test_frames, site.rig)
-    found = predict(trained.network, frames, decode=trained.decode, min_score=EvaluateConfig().min_score)
+    min_score = EvaluateConfig().min_score
+    if isinstance(trained.network, DLA34):
+        network = trained.network.to(choose_device_to_detect("auto"))
+        found = predict_vehicles(network, frames, decode=trained.decode, min_score=min_score)
+    else:
+        found = predict(trained.network, frames, decode=trained.decode, min_score=min_score)
     return [trained.factors.apply(vehicles) for vehicles in found]
 
 

@@ -28,10 +28,10 @@ from benchmarks.learning_sites import (
     Figures,
     Site,
     Trained,
-    bundled_network,
     detections,
     evaluation,
     finetuned_on,
+    untrained,
     views,
 )
 from wibam_core.config import EvaluateConfig, FinetuneConfig
@@ -80,7 +80,7 @@ RECIPES = {
 def made_by(site: Site, recipe: Recipe) -> Trained:
     """The network of a recipe."""
     if not recipe.steps:
-        return bundled_network(recipe.decode)
+        return untrained(site, recipe.decode)
     train, validation = (views(site, part, site.lifts) for part in ("train", "val"))
     if recipe.frames is not None:
         train = train[:: max(1, len(train) // recipe.frames)][: recipe.frames]

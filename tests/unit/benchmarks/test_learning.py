@@ -19,7 +19,7 @@ from wibam_core.config import FinetuneConfig
 
 def arguments(**changed: Any) -> argparse.Namespace:
     options = {"sites": [11, 31], "seeds": [0, 1], "methods": ["baseline", "lifted"], "steps": 5, "seconds": 9.0}
-    return argparse.Namespace(**{**options, "density": 1.0, "shares": [0.5, 1.0], **changed})
+    return argparse.Namespace(**{**options, "density": 1.0, "shares": [0.5, 1.0], "network": None, **changed})
 
 
 def figures(bev: float, difference: float = 0.1) -> dict[str, Any]:
@@ -143,6 +143,27 @@ def test_commands_make_the_rows_that_they_stand_for(monkeypatch: pytest.MonkeyPa
         monkeypatch.setattr(sys, "argv", command.split()[2:])
         typed += list(learning.runs_of(learning.parse()))
     assert sorted(map(str, typed)) == sorted(map(str, runs))
+
+
+def test_runs_of_a_users_network_know_it_by_its_content(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+
+    def typed(command: str) -> list[Run]:
+        monkeypatch.setattr(sys, "argv", command.split()[2:])
+        return list(learning.runs_of(learning.parse()))
+
+    command = "python -m benchmarks.learning --sites 501 --seeds 0 --seconds 90 --steps 5 --network network.safetensors"
+    Path("network.safetensors").write_bytes(b"one")
+    first = typed(command)
+    Path("network.safetensors").write_bytes(b"two")
+    assert {run["method"] for run in first} == set(learning.DEFAULT_METHODS) - {"baseline_fused"}
+    assert all(run["finetune"]["network"] == "custom" for run in first if run["finetune"] is not None)
+    for run in first:
+        FinetuneConfig(**(run["finetune"] or {}))
+    assert not any(run in first for run in typed(command))
+    again = typed(command)
+    written = learning.commands_of([{"run": run} for run in again])
+    assert sorted(map(str, (run for one in written for run in typed(one)))) == sorted(map(str, again))
 
 
 def test_rows_of_files_are_drawn_without_running_anything(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
