@@ -2,8 +2,7 @@
 
 Rows per site and seed:
 
-- ``baseline``: the bundled network, placed by the ground plane; ``baseline_depth``: by its own depth;
-  ``baseline_fused``: by both, as what is fine-tuned on the fits.
+- ``baseline``: the bundled network, placed by the ground plane; ``baseline_depth``: by its own depth.
 - the methods of `TRAINED`, among them ``paper``: fine-tuned with the published loss (Howe et al. 2021, eq. 1), and
   ``lifted``: fine-tuned on the fits to all views, the default.
 - ``truth``: the same training on the true boxes of the same vehicles: what better labels could give.
@@ -48,7 +47,7 @@ from wibam_core.models.decode import Decode
 from wibam_core.stages.store import sha256_of
 
 #: The network before training -> how its boxes are placed.
-BASELINES: Mapping[str, Decode] = {"baseline_depth": "depth", "baseline": "plane", "baseline_fused": "fused"}
+BASELINES: Mapping[str, Decode] = {"baseline_depth": "depth", "baseline": "plane"}
 
 #: Method -> options of fine-tuning.
 TRAINED: Mapping[str, Mapping[str, Any]] = {
@@ -150,7 +149,7 @@ def parse() -> argparse.Namespace:
     parser = site_parser(__doc__, sites=[501, 502, 503], seconds=90.0)
     parser.add_argument("--seeds", type=int, nargs="+", default=[0])
     parser.add_argument("--steps", type=int, default=350)
-    parser.add_argument("--methods", nargs="+", choices=METHODS)
+    parser.add_argument("--methods", nargs="+", choices=METHODS, default=list(DEFAULT_METHODS))
     parser.add_argument(
         "--network", type=Path, metavar="FILE", help="fine-tune this DLA-34, as `wibam weights convert` writes it"
     )
@@ -163,9 +162,6 @@ def parse() -> argparse.Namespace:
         help="run nothing: join the rows of these files, of equal runs the first, and write all to --out",
     )
     arguments = parser.parse_args()
-    arguments.methods = arguments.methods or [
-        method for method in DEFAULT_METHODS if arguments.network is None or BASELINES.get(method) != "fused"
-    ]
     if arguments.short:
         arguments.sites, arguments.seeds, arguments.seconds, arguments.steps = [11], [0], 40.0, 80
     return arguments

@@ -173,7 +173,7 @@ def boxes3d(values: HeadValues, cameras: CameraTensors, decode: Decode) -> Tenso
     3D centre. ``plane``: it lies where that ray meets the plane z = height / 2. There are no uncertainties to fuse the
     two by.
     """
-    if decode == "fused":
+    if decode not in ("depth", "plane"):
         raise ValueError("DLA-34's boxes are placed by 'plane' or 'depth'")
     seen_by = cameras[values.image]
     pixels = values.centre3d * STRIDE

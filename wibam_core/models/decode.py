@@ -14,10 +14,10 @@ from torch import Tensor
 from torch.nn import functional
 
 from wibam_core.geometry.torch_ops import CameraTensors, rays
-from wibam_core.models.small import REFERENCE_FOCAL_PX, SmallOutputs
+from wibam_core.models.small import REFERENCE_FOCAL_PX, UNCERTAINTY_GROUPS, SmallOutputs
 from wibam_core.models.trunk import STRIDE
 
-Decode = Literal["plane", "depth", "fused"]
+Decode = Literal["plane", "depth", "fused", "ground"]
 
 
 def read_decode(curves: Mapping[str, Any]) -> Decode:
@@ -27,6 +27,9 @@ def read_decode(curves: Mapping[str, Any]) -> Decode:
         raise ValueError(f"no decoding is called {decode!r}")
     return decode
 
+
+#: Where the footprint's uncertainty stands among `UNCERTAINTY_GROUPS`.
+_FOOTPRINT = UNCERTAINTY_GROUPS.index("footprint")
 
 #: Rays less steep than this (m down per m) are taken as this steep when they are met with a plane: a ray along
 #: the horizon meets it nowhere.
@@ -40,7 +43,8 @@ class PeakValues:
     Attributes:
         image: (N,) index in the batch. cells: (N, 2) x, y. classes: (N,).
         box2d: (N, 4) raw, centre3d: (N, 2) raw, depth: (N,) log depth at the reference focal length,
-        size: (N, 3) log size against the class's mean, yaw: (N, 2) sin, cos, log_scale: (N, 4): as `SmallOutputs`.
+        size: (N, 3) log size against the class's mean, yaw: (N, 2) sin, cos, footprint: (N, 2) raw,
+        log_scale: (N, 5): as `SmallOutputs`.
     """
 
     image: Tensor
@@ -51,6 +55,7 @@ class PeakValues:
     depth: Tensor
     size: Tensor
     yaw: Tensor
+    footprint: Tensor
     log_scale: Tensor
 
 
@@ -69,6 +74,7 @@ def gather(outputs: SmallOutputs, image: Tensor, cells: Tensor, classes: Tensor)
         at(outputs.depth)[:, 0],
         at(outputs.size),
         at(outputs.yaw),
+        at(outputs.footprint),
         at(outputs.log_scale),
     )
 
@@ -101,48 +107,59 @@ def boxes3d(values: PeakValues, cameras: CameraTensors, mean_sizes_m: Tensor, de
     ``plane``: the centre lies where the ray through the projected 3D centre meets the plane z = height / 2.
     ``depth``: the centre lies on that ray at the regressed depth.
     ``fused``: on that ray between the two, each weighted by its regressed precision, and half its height above ground.
+    ``ground``: over the place where the ray through the footprint's projected centre meets the ground, z = 0.
     """
     seen_by = cameras[values.image]
     sizes = sizes_m(values, mean_sizes_m)
-    position = _positions(seen_by, values, sizes[:, 2], _plane_share(seen_by, values, sizes[:, 2], decode))
+    aimed, plane_m = _aimed(values, sizes[:, 2] / 2, decode)
+    position = _positions(seen_by, aimed, plane_m, _plane_share(seen_by, aimed, plane_m, decode))
+    if decode != "depth":
+        position = torch.cat([position[:, :2], sizes[:, 2:] / 2], dim=-1)
     azimuth = azimuths_rad(rays(seen_by, centres3d_px(values)))
     yaw = azimuth + torch.atan2(values.yaw[:, 0], values.yaw[:, 1])
     return torch.cat([position, sizes, wrap_angle(yaw)[:, None]], dim=-1)
 
 
-def _positions(seen_by: CameraTensors, values: PeakValues, height_m: Tensor, plane_share: Tensor | None) -> Tensor:
-    """(N, 3) centres of vehicles of the given heights (N,).
+def _aimed(values: PeakValues, centre_m: Tensor, decode: Decode) -> tuple[PeakValues, Tensor]:
+    """What is placed, in the 3D centre's stead where that is the footprint, and how high (N,) it lies.
 
-    ``plane_share`` (N,) is how far the plane decides the reach along the ray, against the depth; without one the depth
-    alone decides, and the height of the centre too.
+    ``centre_m`` (N,) is how high the 3D centres lie.
+    """
+    if decode != "ground":
+        return values, centre_m
+    log_scale = torch.cat([values.log_scale[:, _FOOTPRINT:], values.log_scale[:, 1:]], dim=-1)
+    return replace(values, centre3d=values.footprint, log_scale=log_scale), torch.zeros_like(centre_m)
+
+
+def _positions(seen_by: CameraTensors, values: PeakValues, plane_m: Tensor, plane_share: Tensor | None) -> Tensor:
+    """(N, 3) where the rays through the projected 3D centres reach.
+
+    ``plane_share`` (N,) is how far the planes z = ``plane_m`` (N,) decide the reach along the ray, against the depth;
+    without one the depth alone decides.
     """
     directions = rays(seen_by, centres3d_px(values))
     depth = values.depth.clamp(-2.0, 7.0).exp() * focal_px(seen_by) / REFERENCE_FOCAL_PX
     reach = depth / (directions * seen_by.rotation[:, 2]).sum(dim=-1)
     if plane_share is None:
         return seen_by.centre_m + directions * reach[:, None]
-    reach = torch.lerp(reach, _reach_of_plane(seen_by, directions, height_m / 2), plane_share)
-    ground = seen_by.centre_m[:, :2] + directions[:, :2] * reach[:, None]
-    return torch.cat([ground, height_m[:, None] / 2], dim=-1)
+    reach = torch.lerp(reach, _reach_of_plane(seen_by, directions, plane_m), plane_share)
+    return torch.cat([seen_by.centre_m[:, :2] + directions[:, :2] * reach[:, None], plane_m[:, None]], dim=-1)
 
 
-def _plane_share(seen_by: CameraTensors, values: PeakValues, height_m: Tensor, decode: Decode) -> Tensor | None:
+def _plane_share(seen_by: CameraTensors, values: PeakValues, plane_m: Tensor, decode: Decode) -> Tensor | None:
     """(N,) see `_positions`; without gradient, since only errors may teach the uncertainties."""
     if decode == "depth":
         return None
-    if decode == "plane":
-        return torch.ones_like(height_m)
+    if decode != "fused":
+        return torch.ones_like(plane_m)
     with torch.no_grad():
         deviation = _deviations(values)
         directions, higher, lower = _rays_within(seen_by, values, deviation)
-
-        def reach(rays: Tensor, height_m: Tensor) -> Tensor:
-            return _reach_of_plane(seen_by, rays, height_m / 2)
-
-        of_pixel = (reach(higher, height_m) - reach(lower, height_m)) / 2
-        of_height = reach(directions, height_m * (1 + deviation[:, 2])) - reach(directions, height_m)
+        reach = _reach_of_plane(seen_by, directions, plane_m)
+        of_pixel = (_reach_of_plane(seen_by, higher, plane_m) - _reach_of_plane(seen_by, lower, plane_m)) / 2
+        of_height = _reach_of_plane(seen_by, directions, plane_m * (1 + deviation[:, 2])) - reach
         of_plane = of_pixel.square() + of_height.square()
-        of_depth = (reach(directions, height_m) * deviation[:, 1]).square()
+        of_depth = (reach * deviation[:, 1]).square()
         share = of_depth / (of_plane + of_depth)
         return torch.where(_grazes(higher), torch.zeros_like(share), share)
 
@@ -181,7 +198,7 @@ def _grazes(directions: Tensor) -> Tensor:
 
 
 def _deviations(values: PeakValues) -> Tensor:
-    """(N, 4) standard deviations of `UNCERTAINTY_GROUPS`: a regressed scale is that of a Laplace distribution."""
+    """(N, 5) standard deviations of `UNCERTAINTY_GROUPS`: a regressed scale is that of a Laplace distribution."""
     return values.log_scale.clamp(-6.0, 3.0).exp() * 2**0.5
 
 
@@ -198,27 +215,27 @@ def wrap_angle(angle_rad: Tensor) -> Tensor:
 def standard_deviations(values: PeakValues, boxes: Tensor, cameras: CameraTensors, decode: Decode) -> Tensor:
     """(N, 7) standard deviations of boxes (N, 7) in m and rad, from the regressed scales.
 
-    The centre's follows from one standard deviation of the projected 3D centre, moved along the ray as the decoding
-    moves it, and, unless the plane alone decides, one of the depth. Where the plane alone decides and may lie beyond
-    the horizon, it is the whole distance.
+    The centre's follows from one standard deviation of the projected 3D centre, or footprint, moved along the ray as
+    the decoding moves it, and, unless the plane alone decides, one of the depth. Where the plane alone decides and may
+    lie beyond the horizon, it is the whole distance.
     """
+    seen_by = cameras[values.image]
+    values, plane_m = _aimed(values, boxes[:, 5] / 2, decode)
     scale = _deviations(values)
     size_sd = boxes[:, 3:6] * scale[:, 2:3]
-    seen_by = cameras[values.image]
-    height_m = boxes[:, 5]
-    plane_share = _plane_share(seen_by, values, height_m, decode)
+    plane_share = _plane_share(seen_by, values, plane_m, decode)
 
     def spread(name: str, step: Tensor) -> Tensor:
         value: Tensor = getattr(values, name)
         low, high = (
-            _positions(seen_by, replace(values, **{name: value + sign * step / 2}), height_m, plane_share)
+            _positions(seen_by, replace(values, **{name: value + sign * step / 2}), plane_m, plane_share)
             for sign in (-1.0, 1.0)
         )
         return (high - low).square()
 
     steps = scale[:, :1] * torch.eye(2, dtype=scale.dtype)[:, None]
     variance = spread("centre3d", steps[0]) + spread("centre3d", steps[1])
-    if decode != "plane":
+    if decode in ("depth", "fused"):
         variance = variance + spread("depth", scale[:, 1])
     else:
         _, higher, _ = _rays_within(seen_by, values, scale)

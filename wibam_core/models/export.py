@@ -29,6 +29,7 @@ SMALL_CHANNELS = MappingProxyType(
         "depth": 1,
         "size": 3,
         "yaw": 2,
+        "footprint": 2,
         "log_scale": len(UNCERTAINTY_GROUPS),
     }
 )

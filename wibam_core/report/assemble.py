@@ -60,7 +60,12 @@ _METHODS = {
     "paper": "paper: the published multi-view reprojection loss (eq. 1)",
     "combined": "combined: boxes fitted to all views, and the published multi-view reprojection loss",
 }
-_DECODES = {"plane": "on the ground plane along the ray", "depth": "by the network's depth", "fused": "by both"}
+_DECODES = {
+    "plane": "on the ground plane along the ray to their centres",
+    "depth": "by the network's depth",
+    "fused": "by the ground plane and the network's depth",
+    "ground": "where their footprints are on the ground",
+}
 _KEPT = {"last": "those of the last step", "best": "those of the best validation loss"}
 _NOT_SYNCHRONISED = "The recordings were taken to share one clock, as asked for; nothing was measured."
 

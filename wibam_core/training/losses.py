@@ -30,6 +30,7 @@ class LossWeights:
     depth: float = 1.0
     size: float = 1.0
     yaw: float = 1.0
+    footprint: float = 1.0
     corners: float = 0.5
     scale: float = 0.05
 
@@ -57,9 +58,9 @@ def lifted_loss(
 ) -> dict[str, Tensor]:
     """The parts of the loss, weighted, and their sum as ``total``.
 
-    Vehicles without a 3D label teach the heat and the 2D box; the others also centre, depth, size, yaw and the ground
-    corners of the decoded box (smooth L1, m), all by their confidence. Where a label does not tell front from rear,
-    the heading nearer to the network's own counts.
+    Vehicles without a 3D label teach the heat and the 2D box; the others also centre, footprint, depth, size,
+    yaw and the ground corners of the decoded box (smooth L1, m), all by their confidence. Where a label does not tell
+    front from rear, the heading nearer to the network's own counts.
     """
     values = gather(outputs, targets.image, targets.cells, targets.classes)
     lifted = targets.lifted.double()
@@ -77,10 +78,11 @@ def lifted_loss(
         "depth": l1(values.depth, targets.depth),
         "size": l1(values.size, targets.size),
         "yaw": l1(values.yaw, targets.yaw * sign[:, None]),
+        "footprint": l1(values.footprint, targets.footprint),
         "scale": (_scale_loss(values, targets, sign) * lifted).sum() / norm,
     }
     if weights.corners > 0:
-        placed = replace(values, size=targets.size.double())  # else heights learn to make up for errors of place
+        placed = replace(values, size=targets.size.double())  # else sizes learn to make up for errors of place
         predicted = boxes3d(placed, targets.cameras, mean_sizes_m, decode)
         parts["corners"] = (_corner_loss(predicted, targets.boxes3d, sign) * lifted).sum() / norm
     weighted = {name: part * getattr(weights, name) for name, part in parts.items()}
@@ -115,6 +117,7 @@ def _scale_loss(values: PeakValues, targets: Targets, sign: Tensor) -> Tensor:
             (values.depth - targets.depth).abs(),
             (values.size - targets.size).abs().mean(dim=1),
             wrap_angle(angle).abs(),
+            (values.footprint - targets.footprint).abs().mean(dim=1),
         ],
         dim=1,
     ).detach()

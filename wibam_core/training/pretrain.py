@@ -26,6 +26,7 @@ from wibam_core.models.small import SmallNetwork
 from wibam_core.models.weights import load_network, save_network
 from wibam_core.synthetic.sampling import RenderedView
 from wibam_core.training.augment import compress, cut_out, jitter_colour, mirror, rewarp, turn_camera
+from wibam_core.training.device import Precision
 from wibam_core.training.losses import LossWeights, lifted_loss
 from wibam_core.training.pretraining import (
     PoolPlan,
@@ -89,7 +90,7 @@ def virtual_view(view: LabelledView, rng: np.random.Generator, zoom: tuple[float
 def losses(network: SmallNetwork, views: list[LabelledView]) -> dict[str, Tensor]:
     """Parts and total for a batch, in mixed precision."""
     images = to_input(np.stack([view.image for view in views]))
-    with torch.autocast("cpu", dtype=torch.bfloat16):
+    with Precision.of(torch.device("cpu")).autocast():
         outputs = network(images)
     return lifted_loss(outputs, encode(views), network.mean_sizes_m, WEIGHTS)
 

@@ -40,7 +40,8 @@ class Targets:
         image: (N,). cells: (N, 2) x, y. classes: (N,). vehicle: (N,) index of the vehicle in the batch.
         centre: (N,) whether the cell is its vehicle's peak, not a neighbour of it.
         box2d: (N, 4) as the head. lifted: (N,) weight of the 3D values, 0 where there are none.
-        centre3d: (N, 2), depth: (N,), size: (N, 3), yaw: (N, 2) unit sin, cos: as the heads; float32.
+        centre3d: (N, 2), depth: (N,), size: (N, 3), yaw: (N, 2) unit sin, cos, footprint: (N, 2): as the heads;
+            float32.
         front_known: (N,) whether yaw tells front from rear.
         boxes3d: (N, 7) in the world, float64. cameras: (B,), float64.
     """
@@ -58,6 +59,7 @@ class Targets:
     depth: Tensor
     size: Tensor
     yaw: Tensor
+    footprint: Tensor
     front_known: Tensor
     boxes3d: Tensor
     cameras: CameraTensors
@@ -138,9 +140,10 @@ def _lifted_values(
     known = np.isfinite(view.boxes3d.sum(axis=1))
     boxes = np.where(known[:, None], view.boxes3d, [0.0, 0.0, 0.0, 1.0, 1.0, 1.0, 0.0])
     uv, depth = view.camera.project(boxes[:, :3])
-    known &= depth > 0.5
-    uv = np.where(known[:, None], uv, 0.0)
-    centre3d = ((uv + 0.5) / STRIDE - 0.5)[vehicle]
+    ground, ground_depth = view.camera.project(boxes[:, :3] - boxes[:, 5:6] / 2 * [0.0, 0.0, 1.0])
+    known &= np.minimum(depth, ground_depth) > 0.5
+    uv, ground = (np.where(known[:, None], pixels, 0.0) for pixels in (uv, ground))
+    centre3d, footprint = (((pixels + 0.5) / STRIDE - 0.5)[vehicle] for pixels in (uv, ground))
     known_cell = known[vehicle] & (np.abs(centre3d - centre).max(axis=1, initial=0) <= MAX_CENTRE_OFFSET_CELLS)
     rays = view.camera.rays(uv)
     alpha = boxes[:, 6] - np.arctan2(rays[:, 1], rays[:, 0])
@@ -152,6 +155,7 @@ def _lifted_values(
         "depth": np.log(virtual_depth)[vehicle].astype(np.float32),
         "size": log_size[vehicle].astype(np.float32),
         "yaw": np.stack([np.sin(alpha), np.cos(alpha)], axis=1)[vehicle].astype(np.float32),
+        "footprint": (footprint - cells).astype(np.float32),
         "front_known": view.front_known[vehicle],
         "boxes3d": boxes[vehicle],
     }

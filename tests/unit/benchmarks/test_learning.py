@@ -156,7 +156,7 @@ def test_runs_of_a_users_network_know_it_by_its_content(tmp_path: Path, monkeypa
     Path("network.safetensors").write_bytes(b"one")
     first = typed(command)
     Path("network.safetensors").write_bytes(b"two")
-    assert {run["method"] for run in first} == set(learning.DEFAULT_METHODS) - {"baseline_fused"}
+    assert {run["method"] for run in first} == set(learning.DEFAULT_METHODS)
     assert all(run["finetune"]["network"] == "custom" for run in first if run["finetune"] is not None)
     for run in first:
         FinetuneConfig(**(run["finetune"] or {}))

@@ -45,27 +45,37 @@ def values(n: int = 6, seed: int = 0) -> PeakValues:
         tensor(n) + 3.0,
         tensor(n, 3),
         tensor(n, 2),
-        tensor(n, 4) - 2.0,
+        tensor(n, 2) + torch.tensor([0.0, 2.0]),
+        tensor(n, 5) - 2.0,
     )
 
 
-@pytest.mark.parametrize("decode", ["plane", "depth"])
+@pytest.mark.parametrize("decode", ["plane", "depth", "ground"])
 def test_decoding_is_differentiable(decode: Decode) -> None:
     found = values()
 
-    def decoded(centre3d: torch.Tensor, depth: torch.Tensor, size: torch.Tensor, yaw: torch.Tensor) -> torch.Tensor:
-        moved = PeakValues(
-            found.image, found.cells, found.classes, found.box2d, centre3d, depth, size, yaw, found.log_scale
-        )
-        return boxes3d(moved, cameras(), SIZES, decode)
+    names = ("centre3d", "depth", "size", "yaw", "footprint")
 
-    leaves = [v.clone().requires_grad_() for v in (found.centre3d, found.depth, found.size, found.yaw)]
+    def decoded(*leaves: torch.Tensor) -> torch.Tensor:
+        return boxes3d(replace(found, **dict(zip(names, leaves, strict=True))), cameras(), SIZES, decode)
+
+    leaves = [getattr(found, name).clone().requires_grad_() for name in names]
     assert torch.autograd.gradcheck(decoded, leaves, atol=1e-5)
 
 
-def test_plane_decoding_puts_boxes_on_the_ground() -> None:
-    boxes = boxes3d(values(), cameras(), SIZES, "plane")
+@pytest.mark.parametrize("decode", ["plane", "fused", "ground"])
+def test_boxes_stand_on_the_ground(decode: Decode) -> None:
+    boxes = boxes3d(values(), cameras(), SIZES, decode)
     torch.testing.assert_close(boxes[:, 2], boxes[:, 5] / 2)
+
+
+def test_by_its_footprint_a_vehicle_is_placed_whatever_its_height() -> None:
+    found = values()
+    taller = replace(found, size=found.size + torch.tensor([0.0, 0.0, 0.2]))
+    for decode, moved_m in (("ground", 0.0), ("plane", 0.1)):
+        boxes, higher = (boxes3d(each, cameras(), SIZES, decode) for each in (found, taller))
+        moves = torch.linalg.norm((higher - boxes)[:, :2], dim=1)
+        assert bool((moves <= 1e-9).all() if moved_m == 0 else (moves > moved_m).all()), decode
 
 
 def test_boxes_are_finite_and_plausible_whatever_the_network_says() -> None:
@@ -79,28 +89,36 @@ def test_boxes_are_finite_and_plausible_whatever_the_network_says() -> None:
         wild.depth * 100,
         wild.size * 100,
         wild.yaw * 0,
+        wild.footprint * 100,
         wild.log_scale * 100,
     )
-    for decode in ("plane", "depth", "fused"):
+    for decode in ("plane", "depth", "fused", "ground"):
         boxes = boxes3d(wild, cameras(), SIZES, decode)
         assert torch.isfinite(boxes).all()
         assert (boxes[:, 3:6] > 0).all()
         assert torch.isfinite(standard_deviations(wild, boxes, cameras(), decode)).all()
 
 
-def test_the_positions_uncertainty_is_that_of_the_centre_moved_over_the_ground() -> None:
+@pytest.mark.parametrize(
+    ("decode", "head", "log_scale"),
+    [("plane", "centre3d", [-3.0, 0.0, -3.0, -3.0, 0.0]), ("ground", "footprint", [0.0, 0.0, -3.0, -3.0, -3.0])],
+)
+def test_the_positions_uncertainty_is_that_of_what_is_moved_over_the_ground(
+    decode: Decode, head: str, log_scale: list[float]
+) -> None:
     found = values(n=1, seed=3)
-    log_scale = torch.tensor([[-3.0, 0.0, -3.0, -3.0]], dtype=torch.float64)
-    fields = {name: getattr(found, name) for name in found.__dataclass_fields__} | {"log_scale": log_scale}
+    fields = {name: getattr(found, name) for name in found.__dataclass_fields__} | {
+        "log_scale": torch.tensor([log_scale]).double()
+    }
     found = PeakValues(**fields)
-    boxes = boxes3d(found, cameras(), SIZES, "plane")
-    sd = standard_deviations(found, boxes, cameras(), "plane")[0]
+    boxes = boxes3d(found, cameras(), SIZES, decode)
+    sd = standard_deviations(found, boxes, cameras(), decode)[0]
     scale = float(np.exp(-3.0) * np.sqrt(2))
     rng = np.random.default_rng(0)
     moved = []
     for offset in rng.normal(0, scale, (4000, 2)):
-        shifted = PeakValues(**(fields | {"centre3d": found.centre3d + torch.tensor(offset)}))
-        moved.append(boxes3d(shifted, cameras(), SIZES, "plane")[0, :2].numpy())
+        shifted = PeakValues(**(fields | {head: fields[head] + torch.tensor(offset)}))
+        moved.append(boxes3d(shifted, cameras(), SIZES, decode)[0, :2].numpy())
     np.testing.assert_allclose(sd[:2].numpy(), np.std(moved, axis=0), rtol=0.1)
     np.testing.assert_allclose(sd[3:6].numpy(), boxes[0, 3:6].numpy() * scale, rtol=1e-6)
     assert float(sd[6]) == pytest.approx(scale)
@@ -108,7 +126,7 @@ def test_the_positions_uncertainty_is_that_of_the_centre_moved_over_the_ground()
 
 def test_under_depth_decoding_the_depths_uncertainty_lies_along_the_ray() -> None:
     found = values(n=1, seed=3)
-    quiet = torch.tensor([[-9.0, -2.0, -3.0, -3.0]], dtype=torch.float64)
+    quiet = torch.tensor([[-9.0, -2.0, -3.0, -3.0, 0.0]], dtype=torch.float64)
     found = replace(found, log_scale=quiet)
     boxes = boxes3d(found, cameras(), SIZES, "depth")
     sd = standard_deviations(found, boxes, cameras(), "depth")[0]
@@ -121,7 +139,7 @@ def test_under_depth_decoding_the_depths_uncertainty_lies_along_the_ray() -> Non
 def test_fused_boxes_lie_where_the_more_certain_of_plane_and_depth_puts_them() -> None:
     found = values()
     for certain, other, decode in ((-9.0, 0.0, "plane"), (0.0, -9.0, "depth")):
-        log_scale = torch.tensor([[certain, other, certain, -3.0]], dtype=torch.float64).expand(6, 4)
+        log_scale = torch.tensor([[certain, other, certain, -3.0, 0.0]], dtype=torch.float64).expand(6, 5)
         sure = replace(found, log_scale=log_scale)
         fused, alone = (boxes3d(sure, cameras(), SIZES, how) for how in ("fused", decode))
         torch.testing.assert_close(fused[:, :2], alone[:, :2], atol=0.01, rtol=0)
@@ -131,7 +149,7 @@ def test_fused_boxes_lie_where_the_more_certain_of_plane_and_depth_puts_them() -
 def test_fusion_is_better_than_either_and_says_how_good_it_is() -> None:
     n = 4000
     one = values(n=1, seed=3)
-    scales = torch.tensor([[0.35, 0.012, 0.02, 0.05]], dtype=torch.float64)
+    scales = torch.tensor([[0.35, 0.012, 0.02, 0.05, 0.35]], dtype=torch.float64)
     rng = np.random.default_rng(1)
 
     def noise(size: tuple[int, ...], column: int) -> torch.Tensor:
@@ -148,7 +166,7 @@ def test_fusion_is_better_than_either_and_says_how_good_it_is() -> None:
             "centre3d": repeated["centre3d"] + noise((n, 2), 0),
             "depth": depth.expand(n) + noise((n,), 1),
             "size": repeated["size"] + noise((n, 1), 2),
-            "log_scale": torch.log(scales).expand(n, 4),
+            "log_scale": torch.log(scales).expand(n, 5),
         }
     )
     error = {}
@@ -172,7 +190,7 @@ def test_near_the_horizon_the_plane_tells_nothing_and_says_so() -> None:
         cells=torch.tensor([[64, 20]]),
         centre3d=torch.zeros_like(found.centre3d),
         depth=torch.log(torch.tensor([away], dtype=torch.float64)),
-        log_scale=torch.full((1, 4), -3.0, dtype=torch.float64),
+        log_scale=torch.full((1, 5), -3.0, dtype=torch.float64),
     )
     plane, fused, depth = (boxes3d(horizon, low, SIZES, how) for how in ("plane", "fused", "depth"))
     torch.testing.assert_close(fused[:, :2], depth[:, :2])

@@ -145,7 +145,7 @@ def test_the_file_says_what_one_needs_to_know(exported: Path) -> None:
     assert int(said["stride"]) == STRIDE
     assert int(said["input_width_px"]) == INPUT_WIDTH_PX
     assert float(said["reference_focal_px"]) == REFERENCE_FOCAL_PX
-    assert json.loads(said["uncertainty_groups"]) == ["centre3d", "depth", "size", "yaw"]
+    assert json.loads(said["uncertainty_groups"]) == ["centre3d", "depth", "size", "yaw", "footprint"]
     np.testing.assert_allclose(json.loads(said["mean_sizes_m"]), MEAN_SIZES_M, rtol=1e-6)
     assert [entry.version for entry in model.opset_import] == [18]
 

@@ -97,7 +97,7 @@ def test_what_a_file_does_not_say_is_its_familys_usual_way(saved: Path, tmp_path
 @pytest.mark.parametrize(
     ("said", "why"),
     [
-        ({"decode": "guess"}, "network: decode is 'guess', not one of plane, depth, fused"),
+        ({"decode": "guess"}, "network: decode is 'guess', not one of plane, depth, fused, ground"),
         ({"sd_factors": "[1]"}, "network: sd_factors is .* not a JSON object of positive numbers"),
         ({"sd_factors": "{"}, "sd_factors is"),
         ({"sd_factors": '{"yaw": "2"}'}, "sd_factors is"),

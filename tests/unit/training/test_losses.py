@@ -30,7 +30,8 @@ def perfect(targets: Targets) -> SmallOutputs:
         draw(targets.depth[:, None]),
         draw(targets.size),
         draw(targets.yaw),
-        torch.zeros(batch, 4, height, width),
+        draw(targets.footprint),
+        torch.zeros(batch, 5, height, width),
     )
 
 
@@ -41,12 +42,12 @@ def targets() -> Targets:
 
 def test_the_truth_costs_nothing(targets: Targets) -> None:
     parts = lifted_loss(perfect(targets), targets, SIZES, LossWeights())
-    for name in ("box2d", "centre3d", "depth", "size", "yaw", "corners", "scale"):
+    for name in ("box2d", "centre3d", "depth", "size", "yaw", "footprint", "corners", "scale"):
         assert parts[name].item() == pytest.approx(0.0, abs=1e-6), name
     assert parts["total"].item() == pytest.approx(sum(v.item() for k, v in parts.items() if k != "total"), rel=1e-6)
 
 
-@pytest.mark.parametrize("name", ["box2d", "centre3d", "depth", "size", "yaw", "heat"])
+@pytest.mark.parametrize("name", ["box2d", "centre3d", "depth", "size", "yaw", "footprint", "heat"])
 def test_every_error_costs(targets: Targets, name: str) -> None:
     truth = perfect(targets)
     wrong = replace(truth, **{name: getattr(truth, name) + 0.3})
@@ -65,7 +66,7 @@ def test_vehicles_without_a_3d_label_teach_only_heat_and_2d_box(targets: Targets
     outputs = perfect(targets)
     leaves = {name: getattr(outputs, name).clone().requires_grad_() for name in outputs.__dataclass_fields__}
     lifted_loss(SmallOutputs(**leaves), unknown, SIZES, LossWeights())["total"].backward()
-    for name in ("centre3d", "depth", "size", "yaw", "log_scale"):
+    for name in ("centre3d", "depth", "size", "yaw", "footprint", "log_scale"):
         grad = leaves[name].grad
         assert grad is None or (grad == 0).all(), name
     assert (leaves["heat"].grad != 0).any()

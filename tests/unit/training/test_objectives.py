@@ -56,7 +56,7 @@ def random_outputs(targets: Targets, seed: int = 0) -> SmallOutputs:
     """Maps near those of an untrained network, all with gradients."""
     generator = torch.Generator().manual_seed(seed)
     batch, _, height, width = targets.heat.shape
-    channels = {"heat": 4, "box2d": 4, "centre3d": 2, "depth": 1, "size": 3, "yaw": 2, "log_scale": 4}
+    channels = {"heat": 4, "box2d": 4, "centre3d": 2, "depth": 1, "size": 3, "yaw": 2, "footprint": 2, "log_scale": 5}
     shift = {"heat": -3.0, "depth": 3.0}
     return SmallOutputs(
         **{
@@ -145,8 +145,8 @@ def test_equals_a_loop_over_the_vehicles_of_a_batch(
         ({"method": "paper", "decode": "depth"}, {"heat", "centre3d", "size", "yaw", "depth"}),
         ({"method": "paper", "own_view": True}, {"heat", "centre3d", "size", "yaw"}),
         ({"method": "paper", "box_heads": True}, {"heat", "centre3d", "size", "yaw", "box2d"}),
-        ({"method": "lifted"}, {"heat", "box2d", "centre3d", "depth", "size", "yaw", "log_scale"}),
-        ({"method": "combined"}, {"heat", "box2d", "centre3d", "depth", "size", "yaw", "log_scale"}),
+        ({"method": "lifted"}, {"heat", "box2d", "centre3d", "depth", "size", "yaw", "footprint", "log_scale"}),
+        ({"method": "combined"}, {"heat", "box2d", "centre3d", "depth", "size", "yaw", "footprint", "log_scale"}),
     ],
 )
 def test_each_method_teaches_its_heads(
@@ -260,6 +260,7 @@ def test_a_box_that_is_not_finite_is_not_passed_over() -> None:
         ({"box_heads": True}, r"finetune\.box_heads: it does nothing with method 'lifted', only with 'paper'"),
         ({"method": "combined", "box_heads": True}, r"finetune\.box_heads: it does nothing with method 'combined'"),
         ({"method": "paper", "decode": "fused"}, r"finetune\.decode: method 'paper' teaches no uncertainties"),
+        ({"method": "paper", "decode": "ground"}, r"finetune\.decode: method 'paper' teaches no footprints"),
         ({"multiview_weight": 0.2}, r"finetune\.multiview_weight: it does nothing with method 'lifted'"),
         ({"method": "paper", "multiview_weight": 0.2}, r"finetune\.multiview_weight: .* only with 'combined'"),
     ],
@@ -272,8 +273,8 @@ def test_options_that_do_nothing_are_refused(options: dict[str, object], said: s
 
 def test_boxes_are_placed_by_what_the_method_teaches_unless_options_say() -> None:
     for options, decode in (
-        ({}, "fused"),
-        ({"method": "combined"}, "fused"),
+        ({}, "ground"),
+        ({"method": "combined"}, "ground"),
         ({"method": "paper"}, "plane"),
         ({"network": "custom"}, "plane"),
         ({"decode": "depth"}, "depth"),

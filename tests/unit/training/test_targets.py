@@ -24,11 +24,12 @@ def as_values(targets: Targets) -> PeakValues:
         targets.depth.double(),
         targets.size.double(),
         targets.yaw.double(),
-        torch.zeros(n, 4, dtype=torch.float64),
+        targets.footprint.double(),
+        torch.zeros(n, 5, dtype=torch.float64),
     )
 
 
-@pytest.mark.parametrize("decode", ["plane", "depth"])
+@pytest.mark.parametrize("decode", ["plane", "depth", "ground"])
 @pytest.mark.parametrize("dist", [(), (-0.2, 0.05, 0.003, -0.004, 0.01)])
 @pytest.mark.parametrize(("height_m", "pitch_rad"), [(1.6, 0.0), (8.0, 0.35)])
 def test_decoding_the_targets_gives_the_labels(
