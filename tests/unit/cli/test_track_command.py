@@ -23,7 +23,7 @@ from wibam_core.models.dla34 import DLA34
 from wibam_core.models.export import export_small
 from wibam_core.models.inference import Frame
 from wibam_core.models.onnx_network import OnnxNetwork
-from wibam_core.models.small import SmallNetwork
+from wibam_core.models.small import UNCERTAINTY_GROUPS, SmallNetwork
 from wibam_core.models.usage import Usage
 from wibam_core.models.weights import bundled, load_centertrack, load_network, save_network
 from wibam_core.scene import Track, VehicleClass, Vehicles3D
@@ -89,7 +89,11 @@ def seeing_network() -> SmallNetwork:
     """Random heat; cars of the mean size, `exp(3)` m away at the reference focal length, with small errors."""
     torch.manual_seed(0)
     network = SmallNetwork().eval()
-    biases = {"heat": [1.0, -5.0, -5.0, -5.0], "box2d": [0.0, 0.0, 1.0, 1.0], "log_scale": [-4.0] * 4}
+    biases = {
+        "heat": [1.0, -5.0, -5.0, -5.0],
+        "box2d": [0.0, 0.0, 1.0, 1.0],
+        "log_scale": [-4.0] * len(UNCERTAINTY_GROUPS),
+    }
     with torch.no_grad():
         for name, head in network.heads.items():
             head.weight.zero_()
