@@ -127,7 +127,7 @@ def _aimed(values: PeakValues, centre_m: Tensor, decode: Decode) -> tuple[PeakVa
     """
     if decode != "ground":
         return values, centre_m
-    log_scale = torch.cat([values.log_scale[:, _FOOTPRINT:], values.log_scale[:, 1:]], dim=-1)
+    log_scale = torch.cat([values.log_scale[:, [_FOOTPRINT]], values.log_scale[:, 1:]], dim=-1)
     return replace(values, centre3d=values.footprint, log_scale=log_scale), torch.zeros_like(centre_m)
 
 
