@@ -212,6 +212,7 @@ class DLA34(nn.Module):
         """Raw head outputs (B, channels, H/4, W/4) of normalised BGR images (B, 3, H, W); H, W multiples of 32."""
         maps = self.dla_up(self.base(images))
         features = self.ida_up(maps[:3])[-1]
-        hidden = {name: getattr(self, name)[:2](features).float() for name in self.heads}
+        hidden = {name: getattr(self, name)[:2](features) for name in self.heads}
         with torch.autocast(images.device.type, enabled=False):  # bfloat16 knows a depth to 1 % only
-            return {name: getattr(self, name)[2](values) for name, values in hidden.items()}
+            last = {name: getattr(self, name)[2] for name in self.heads}
+            return {name: last[name](values.to(last[name].weight.dtype)) for name, values in hidden.items()}

@@ -23,6 +23,7 @@ from wibam_core.models.inference import to_input
 from wibam_core.models.trunk import STRIDE
 from wibam_core.synthetic.sampling import RenderedView
 from wibam_core.training.augment import compress, cut_out, jitter_colour, mirror, rewarp
+from wibam_core.training.device import Precision
 from wibam_core.training.losses import focal_loss
 from wibam_core.training.pretraining import PoolPlan, Schedule, ViewPool, labelled, plain_camera, pretrain, render
 from wibam_core.training.targets import encode
@@ -59,7 +60,7 @@ def augmented(pool: ViewPool, rng: np.random.Generator) -> LabelledView:
 def losses(network: Detector2D, views: list[LabelledView]) -> dict[str, Tensor]:
     """Focal loss of the heat and 1 − GIoU of the boxes at taught cells."""
     targets = encode(views)
-    with torch.autocast("cpu", dtype=torch.bfloat16):
+    with Precision.of(torch.device("cpu")).autocast():
         logits, log_ltrb = network(to_input(np.stack([view.image for view in views])))
     heat = focal_loss(logits, targets.heat, targets.judged)
     distances = log_ltrb[targets.image, :, targets.cells[:, 1], targets.cells[:, 0]].clamp(-3.0, 5.0).exp()

@@ -22,6 +22,7 @@ from wibam_core.detection.crops import CROP_PX, blob
 from wibam_core.models.export import export_refiner2d
 from wibam_core.models.refiner2d import Refiner2D
 from wibam_core.training.augment import compress, jitter_colour
+from wibam_core.training.device import Precision
 from wibam_core.training.pretraining import Schedule, append_log, labelled, render
 from wibam_core.training.views import FloatArray
 
@@ -103,7 +104,7 @@ def sample(patch: Patch, rng: np.random.Generator) -> tuple[NDArray[np.float32],
 
 def losses(network: Refiner2D, crops: Tensor, edges: Tensor, classes: Tensor) -> dict[str, Tensor]:
     """L1 of the edges, likelihood of their errors under the scales, cross entropy of the classes."""
-    with torch.autocast("cpu", dtype=torch.bfloat16):
+    with Precision.of(torch.device("cpu")).autocast():
         maps, summary = network.features(crops)
     found, log_scale, logits = network.heads(maps.float(), summary.float())
     error = (found - edges).abs()

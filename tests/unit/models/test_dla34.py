@@ -90,13 +90,17 @@ def test_outputs_are_the_published_ones(assets: Path) -> None:
     images = torch.from_numpy(rng.standard_normal((1, 3, 128, 224)).astype(np.float32))
     with torch.no_grad():
         found = network(images)
+        exact = network.double()(images.double())
     expected = np.load(assets / "reference" / "centertrack_dla34_ddd_outputs.npz")
-    assert set(found) == set(expected.files)
+    assert set(found) == set(exact) == set(expected.files)
     for name in found:
-        # These weights amplify rounding: float32 moves by up to 2e-3 with the processor or the memory layout alone.
-        error = np.abs(found[name].numpy() - expected[name])
-        assert np.quantile(error, 0.99) < 1e-3, name
-        assert error.max() < 4e-3, name
+        # These weights amplify rounding: float32 moves by up to 2e-3 with the processor or the memory layout alone, so
+        # what is exact on every machine is held to the published values, and float32 to its rounding.
+        assert found[name].dtype == torch.float32
+        assert np.abs(found[name].numpy() - expected[name]).max() < 4e-3, name
+        error = np.abs(exact[name].numpy() - expected[name])
+        assert np.quantile(error, 0.999) < 1e-3, name
+        assert error.max() < 2e-3, name
 
 
 @pytest.mark.parametrize(("height", "width"), [(64, 96), (32, 160)])
