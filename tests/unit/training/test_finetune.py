@@ -89,8 +89,7 @@ def test_the_loss_falls(site: TinySite, tmp_path: Path, chosen: dict[str, object
     result = finetune(network(), dataset_of(site), config, lambda f, m="", **k: reports.append(f), tmp_path)
     totals = [epoch.train["total"] for epoch in result.epochs]
     assert totals[-1] < 0.8 * totals[0]
-    first, *others = (epoch.validation["total"] for epoch in result.epochs)
-    assert min(others) < first  # three views, a constant rate: from epoch to epoch it goes up and down
+    assert result.epochs[-1].validation["total"] < result.epochs[0].validation["total"]
     assert reports[-1] == 1.0
     assert reports == sorted(reports)
     assert not result.network.training
