@@ -42,17 +42,15 @@ fix: $(READY) ## format the code and mend what the linter can mend
 	$(BIN)/ruff check --fix .
 	$(BIN)/ruff format .
 
-weights: $(READY) ## train the bundled networks again from simulated images (hours on one core): build/weights
+weights: $(READY) ## train the bundled networks again from simulated images (hours without a GPU): build/weights
 	$(BIN)/python -m wibam_core.training.pretrain_detector --out build/weights
 	$(BIN)/python -m wibam_core.training.pretrain_refiner --out build/weights/refiner
-	$(BIN)/python -m wibam_core.training.pretrain --out build/weights/1 --steps 4500 --images 3000 --seed 0 \
-		--rendered 544 384 --zoom 0.7 1.45
-	$(BIN)/python -m wibam_core.training.pretrain --out build/weights/2 --steps 4000 --images 6000 --shard 400 \
-		--seed 10000 --learning-rate 1.5e-3 --rendered 544 384 --zoom 0.7 1.45 \
-		--start build/weights/1/mono_small.safetensors
-	$(BIN)/python -m wibam_core.training.pretrain --out build/weights/3 --steps 5000 --images 8000 --shard 400 \
-		--seed 20000 --learning-rate 1.5e-3 --rendered 544 384 --zoom 0.7 1.45 \
-		--start build/weights/2/mono_small.safetensors
+	$(BIN)/python -m wibam_core.training.pretrain --out build/weights/1 --steps 9500 --images 42000 --shard 280 \
+		--batch 32 --learning-rate 2.5e-3 --seed 30000 --rendered 544 384 --zoom 0.7 1.45 --checkpoint-every 2000 \
+		--device auto --workers 14
+	$(BIN)/python -m wibam_core.training.pretrain --out build/weights/2 --steps 3300 --images 14000 --shard 240 \
+		--batch 32 --learning-rate 1.2e-3 --seed 80000 --rendered 544 384 --zoom 0.7 1.45 --checkpoint-every 1100 \
+		--device auto --workers 12 --start build/weights/1/mono_small.safetensors
 
 clean: ## remove what was built; the virtual environment stays
 	rm -rf build .mypy_cache .ruff_cache .pytest_cache .import_linter_cache

@@ -215,6 +215,7 @@ def step_seconds(
     network: Monocular, dataset: SiteDataset, steps: int, scratch: Path, clock: Callable[[], float], **options: Any
 ) -> float:
     """Median seconds of a training step, once every image is in the cache."""
+    options |= {"network": "custom" if isinstance(network, DLA34) else "small"}
     fill = -(-len(dataset.train) // FinetuneConfig(**options).batch_size)
     config = FinetuneConfig(steps=fill + steps, steps_per_epoch=fill + steps, **options)
     ends: list[float] = []

@@ -65,6 +65,10 @@ class CameraTensors:
             self.limit[index],
         )
 
+    def to(self, device: torch.device) -> CameraTensors:
+        """The same on another device."""
+        return CameraTensors(**{name: value.to(device) for name, value in vars(self).items()})
+
     @property
     def centre_m(self) -> Tensor:
         """(V, 3) optical centres in the world."""

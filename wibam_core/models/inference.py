@@ -68,7 +68,7 @@ def prepare_camera(camera: Camera) -> Camera:
 
 
 def to_input(
-    images: NDArray[np.uint8],
+    images: NDArray[np.uint8] | Tensor,
     device: torch.device | str = "cpu",
     layout: torch.memory_format = torch.channels_last,
 ) -> Tensor:
@@ -79,7 +79,8 @@ def to_input(
         device: where the input is to lie.
         layout: the order in memory; torch's networks are fastest with the channels last.
     """
-    batch = torch.from_numpy(np.ascontiguousarray(images)).to(device).permute(0, 3, 1, 2)
+    batch = images if isinstance(images, Tensor) else torch.from_numpy(np.ascontiguousarray(images))
+    batch = batch.to(device).permute(0, 3, 1, 2)
     return batch.to(torch.float32, memory_format=layout).div_(255.0)
 
 

@@ -26,19 +26,21 @@ from wibam_core.models.small import SmallNetwork
 from wibam_core.models.weights import load_network, save_network
 from wibam_core.synthetic.sampling import RenderedView
 from wibam_core.training.augment import compress, cut_out, jitter_colour, mirror, rewarp, turn_camera
-from wibam_core.training.device import Precision
+from wibam_core.training.device import Precision, choose_device
 from wibam_core.training.losses import LossWeights, lifted_loss
 from wibam_core.training.pretraining import (
+    Batch,
     PoolPlan,
     Schedule,
     ViewPool,
+    add_options,
     append_log,
+    batches,
     labelled,
     plain_camera,
     pretrain,
     render,
 )
-from wibam_core.training.targets import encode
 from wibam_core.training.validation import ViewResult, measure
 from wibam_core.training.views import LabelledView
 
@@ -87,12 +89,12 @@ def virtual_view(view: LabelledView, rng: np.random.Generator, zoom: tuple[float
     return rewarp(view, replace(camera, T_world_cam=turned), (int(fill[0]), int(fill[1]), int(fill[2])))
 
 
-def losses(network: SmallNetwork, views: list[LabelledView]) -> dict[str, Tensor]:
+def losses(network: SmallNetwork, batch: Batch) -> dict[str, Tensor]:
     """Parts and total for a batch, in mixed precision."""
-    images = to_input(np.stack([view.image for view in views]))
-    with Precision.of(torch.device("cpu")).autocast():
-        outputs = network(images)
-    return lifted_loss(outputs, encode(views), network.mean_sizes_m, WEIGHTS)
+    device = batch.images.device
+    with Precision.of(device).autocast():
+        outputs = network(to_input(batch.images, device))
+    return lifted_loss(outputs, batch.targets, network.mean_sizes_m, WEIGHTS)
 
 
 def measure_views(network: SmallNetwork, views: list[RenderedView], decode: Decode) -> dict[str, float]:
@@ -116,12 +118,7 @@ def measure_views(network: SmallNetwork, views: list[RenderedView], decode: Deco
 def main() -> None:
     parser = argparse.ArgumentParser(description="Pre-train the bundled monocular network on street-level views.")
     parser.add_argument("--out", type=Path, default=Path("build/pretrain"), help="folder for weights and log")
-    parser.add_argument("--steps", type=int, default=4500)
-    parser.add_argument("--images", type=int, default=3000)
-    parser.add_argument("--shard", type=int, default=200)
-    parser.add_argument("--learning-rate", type=float, default=2e-3)
-    parser.add_argument("--seed", type=int, default=0)
-    parser.add_argument("--threads", type=int, default=1)
+    add_options(parser, steps=4500, images=3000)
     parser.add_argument("--views", type=int, default=80, help="views that are measured on, of each kind")
     parser.add_argument("--rendered", type=int, nargs=2, default=(704, 496), help="width and height, px")
     parser.add_argument("--zoom", type=float, nargs=2, default=(0.85, 1.8), help="of the trained against the rendered")
@@ -158,16 +155,16 @@ def main() -> None:
     if arguments.steps == 0:
         append_log(log_path, figures(network))
         return
+    draw = partial(augmented, zoom=(arguments.zoom[0], arguments.zoom[1]))
     pretrain(
         network,
-        ViewPool(plan),
-        Schedule(arguments.steps, 8, arguments.learning_rate, 50, 500),
-        partial(augmented, zoom=(arguments.zoom[0], arguments.zoom[1])),
+        batches(plan, draw, arguments.steps, arguments.batch, arguments.seed, arguments.workers),
+        Schedule(arguments.steps, arguments.learning_rate, 50, arguments.checkpoint_every),
         losses,
         checkpoint,
         log_path,
         time.monotonic,
-        arguments.seed,
+        choose_device(arguments.device),
     )
 
 

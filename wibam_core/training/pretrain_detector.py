@@ -23,10 +23,20 @@ from wibam_core.models.inference import to_input
 from wibam_core.models.trunk import STRIDE
 from wibam_core.synthetic.sampling import RenderedView
 from wibam_core.training.augment import compress, cut_out, jitter_colour, mirror, rewarp
-from wibam_core.training.device import Precision
+from wibam_core.training.device import Precision, choose_device
 from wibam_core.training.losses import focal_loss
-from wibam_core.training.pretraining import PoolPlan, Schedule, ViewPool, labelled, plain_camera, pretrain, render
-from wibam_core.training.targets import encode
+from wibam_core.training.pretraining import (
+    Batch,
+    PoolPlan,
+    Schedule,
+    ViewPool,
+    add_options,
+    batches,
+    labelled,
+    plain_camera,
+    pretrain,
+    render,
+)
 from wibam_core.training.views import FloatArray, LabelledView
 
 WIDTH_PX, HEIGHT_PX = 512, 288
@@ -57,11 +67,11 @@ def augmented(pool: ViewPool, rng: np.random.Generator) -> LabelledView:
     return replace(view, image=compress(image, rng) if rng.random() < 0.3 else image)
 
 
-def losses(network: Detector2D, views: list[LabelledView]) -> dict[str, Tensor]:
+def losses(network: Detector2D, batch: Batch) -> dict[str, Tensor]:
     """Focal loss of the heat and 1 − GIoU of the boxes at taught cells."""
-    targets = encode(views)
-    with Precision.of(torch.device("cpu")).autocast():
-        logits, log_ltrb = network(to_input(np.stack([view.image for view in views])))
+    targets, device = batch.targets, batch.images.device
+    with Precision.of(device).autocast():
+        logits, log_ltrb = network(to_input(batch.images, device))
     heat = focal_loss(logits, targets.heat, targets.judged)
     distances = log_ltrb[targets.image, :, targets.cells[:, 1], targets.cells[:, 0]].clamp(-3.0, 5.0).exp()
     predicted = torch.cat([-distances[:, :2], distances[:, 2:]], dim=1)
@@ -74,7 +84,7 @@ def losses(network: Detector2D, views: list[LabelledView]) -> dict[str, Tensor]:
 def detect(network: Detector2D, image: np.ndarray) -> FloatArray:
     """Boxes (N, 4) xyxy of one image of the input's size, without suppression of duplicates."""
     with torch.inference_mode():
-        logits, log_ltrb = network(to_input(image[None]))
+        logits, log_ltrb = (maps.cpu() for maps in network(to_input(image[None], next(network.parameters()).device)))
         heat = logits.sigmoid().amax(dim=1)
         peak = (torch.nn.functional.max_pool2d(heat[:, None], 3, 1, 1)[:, 0] == heat) & (heat >= _MIN_SCORE)
         _, y, x = peak.nonzero(as_tuple=True)
@@ -110,12 +120,7 @@ def measure_views(network: Detector2D, views: list[RenderedView]) -> dict[str, f
 def main() -> None:
     parser = argparse.ArgumentParser(description="Train the bundled 2D detector on simulated elevated views.")
     parser.add_argument("--out", type=Path, default=Path("build/pretrain_detector"), help="folder for weights and log")
-    parser.add_argument("--steps", type=int, default=3000)
-    parser.add_argument("--images", type=int, default=1200)
-    parser.add_argument("--shard", type=int, default=200)
-    parser.add_argument("--learning-rate", type=float, default=2e-3)
-    parser.add_argument("--seed", type=int, default=0)
-    parser.add_argument("--threads", type=int, default=1)
+    add_options(parser, steps=3000, images=1200)
     arguments = parser.parse_args()
     torch.set_num_threads(arguments.threads)
     torch.manual_seed(arguments.seed)
@@ -137,14 +142,13 @@ def main() -> None:
 
     pretrain(
         Detector2D(),
-        ViewPool(plan),
-        Schedule(arguments.steps, 8, arguments.learning_rate, 50, 500),
-        augmented,
+        batches(plan, augmented, arguments.steps, arguments.batch, arguments.seed, arguments.workers),
+        Schedule(arguments.steps, arguments.learning_rate, 50, arguments.checkpoint_every),
         losses,
         checkpoint,
         arguments.out / "log.jsonl",
         time.monotonic,
-        arguments.seed,
+        choose_device(arguments.device),
     )
 
 

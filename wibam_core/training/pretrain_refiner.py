@@ -159,13 +159,13 @@ def main() -> None:
     started = time.monotonic()
     validation = patches(VALIDATION_SEED, 80)
     pool = patches(TRAINING_SEED + arguments.seed, arguments.images)
-    schedule = Schedule(arguments.steps, arguments.batch, arguments.learning_rate, 200, 1000)
+    schedule = Schedule(arguments.steps, arguments.learning_rate, 200, 1000)
     network = Refiner2D().to(memory_format=torch.channels_last)  # type: ignore[call-overload]
     optimizer = torch.optim.AdamW(network.parameters(), lr=schedule.learning_rate, weight_decay=1e-3)
     recent: dict[str, float] = {}
     for step in range(schedule.steps):
         network.train()
-        chosen = [pool[int(number)] for number in rng.integers(0, len(pool), schedule.batch_size)]
+        chosen = [pool[int(number)] for number in rng.integers(0, len(pool), arguments.batch)]
         drawn = [sample(patch, rng) for patch in chosen]
         parts = losses(
             network,

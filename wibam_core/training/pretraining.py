@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
+import argparse
 import copy
 import json
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Generic, TypeVar
@@ -15,11 +16,13 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 from torch import Tensor, nn
+from torch.utils.data import DataLoader, IterableDataset, get_worker_info
 
 from wibam_core.errors import NonFiniteLoss
 from wibam_core.geometry.camera import Camera
 from wibam_core.scene import Vehicles3D
 from wibam_core.synthetic.sampling import Regime, RenderedView, sample_views
+from wibam_core.training.targets import Targets, encode
 from wibam_core.training.views import LabelledView
 
 #: Vehicles less visible or smaller than this are ignored: neither taught nor punished.
@@ -78,6 +81,12 @@ class PoolPlan:
     steps_per_shard: int
     size_px: tuple[int, int]
 
+    def part(self, number: int, parts: int) -> PoolPlan:
+        """What one of several processes renders: other sites than the others do, in the same time."""
+        images, shard = (-(-count // parts) for count in (self.images, self.shard))
+        sites = -(-images // _VIEWS_PER_SITE)
+        return replace(self, seed=self.seed + number * sites * _VIEWS_PER_SITE, images=images, shard=shard)
+
 
 class ViewPool:
     """Rendered views, kept as JPEG. Grows while training runs, so that training starts at once and stays seeded."""
@@ -108,6 +117,59 @@ class ViewPool:
         """A random view."""
         data, view = self._views[int(rng.integers(len(self._views)))]
         return replace(view, image=np.asarray(cv2.imdecode(data, cv2.IMREAD_COLOR), dtype=np.uint8))
+
+
+#: A random view of a pool, augmented.
+Draw = Callable[[ViewPool, np.random.Generator], LabelledView]
+
+
+@dataclass(frozen=True, eq=False)
+class Batch:
+    """Images (B, H, W, 3) uint8 BGR, and what a network should say about them."""
+
+    images: Tensor
+    targets: Targets
+
+    @classmethod
+    def of(cls, views: list[LabelledView]) -> Batch:
+        return cls(torch.from_numpy(np.stack([view.image for view in views])), encode(views))
+
+    def to(self, device: torch.device) -> Batch:
+        return self if device.type == "cpu" else Batch(self.images.to(device), self.targets.to(device))
+
+
+class _Batches(IterableDataset[Batch]):
+    """Of several processes, each draws every so many-th batch, from views that it renders itself."""
+
+    def __init__(self, plan: PoolPlan, draw: Draw, count: int, batch_size: int, seed: int) -> None:
+        self._plan, self._draw, self._count, self._batch_size, self._seed = plan, draw, count, batch_size, seed
+
+    def __iter__(self) -> Iterator[Batch]:
+        process = get_worker_info()
+        number, processes = (process.id, process.num_workers) if process else (0, 1)
+        pool = ViewPool(self._plan.part(number, processes))
+        rng = np.random.default_rng([self._seed, number] if process else self._seed)
+        for step in range(number, self._count, processes):
+            pool.grow(step)
+            yield Batch.of([self._draw(pool, rng) for _ in range(self._batch_size)])
+
+
+def batches(plan: PoolPlan, draw: Draw, count: int, batch_size: int, seed: int, workers: int = 0) -> Iterable[Batch]:
+    """So many batches, seeded; ``workers`` processes render and draw them ahead of training, 0: none does.
+
+    Other numbers of processes give other batches.
+    """
+    data = _Batches(plan, draw, count, batch_size, seed)
+    if not workers:
+        return data
+    # a fork would inherit OpenCV's threads as they stand, and hang
+    return DataLoader(
+        data, None, num_workers=workers, prefetch_factor=4, worker_init_fn=_one_thread, multiprocessing_context="spawn"
+    )
+
+
+def _one_thread(worker: int) -> None:
+    cv2.setNumThreads(1)
 
 
 def plain_camera(camera: Camera, width_px: int, height_px: int, zoom: float) -> Camera:
@@ -141,7 +203,6 @@ class Schedule:
     """AdamW with a short linear rise and a cosine fall to 1 % over ``steps``."""
 
     steps: int
-    batch_size: int
     learning_rate: float
     log_every: int
     checkpoint_every: int
@@ -154,33 +215,31 @@ class Schedule:
 
 def pretrain(
     network: Network,
-    pool: ViewPool,
+    data: Iterable[Batch],
     schedule: Schedule,
-    draw: Callable[[ViewPool, np.random.Generator], LabelledView],
-    losses: Callable[[Network, list[LabelledView]], dict[str, Tensor]],
+    losses: Callable[[Network, Batch], dict[str, Tensor]],
     checkpoint: Callable[[Network, int], dict[str, Any]],
     log_path: Path,
     clock: Callable[[], float],
-    seed: int,
+    device: torch.device,
 ) -> Network:
-    """Train, and return the averaged network.
+    """Train on ``device``, and return the averaged network, there.
 
-    ``draw`` gives a view from the pool, augmented; ``losses`` the parts and ``total`` for a batch of views;
-    ``checkpoint`` saves and measures the averaged network, and its figures go to the log, one JSON object per line.
-    ``clock`` gives seconds from any origin, for the log.
+    ``data`` gives a batch for each of the schedule's steps; ``losses`` gives the parts and ``total`` for a batch on
+    the device; ``checkpoint`` saves and measures the averaged network, and its figures go to the log, one JSON object
+    per line. ``clock`` gives seconds from any origin, for the log.
     """
-    rng = np.random.default_rng(seed)
-    network = network.to(memory_format=torch.channels_last)  # type: ignore[call-overload]
+    network = network.to(device).to(memory_format=torch.channels_last)  # type: ignore[call-overload]
     network.train()
     averaged = AveragedWeights(network, 0.998)
     optimizer = torch.optim.AdamW(network.parameters(), lr=schedule.learning_rate, weight_decay=1e-3)
     started = clock()
     recent: dict[str, float] = {}
-    for step in range(schedule.steps):
-        pool.grow(step)
-        views = [draw(pool, rng) for _ in range(schedule.batch_size)]
-        parts = losses(network, views)
-        if not math.isfinite(float(parts["total"].detach())):
+    for step, batch in enumerate(data):
+        parts = losses(network, batch.to(device))
+        detached = torch.stack([part.detach().double() for part in parts.values()])
+        values = dict(zip(parts, detached.tolist(), strict=True))
+        if not math.isfinite(values["total"]):
             raise NonFiniteLoss(f"the loss is not finite at step {step}", step=step)
         for group in optimizer.param_groups:
             group["lr"] = schedule.rate(step)
@@ -189,15 +248,29 @@ def pretrain(
         nn.utils.clip_grad_norm_(network.parameters(), _GRADIENT_CLIP)
         optimizer.step()
         averaged.update(network)
-        for name, part in parts.items():
-            recent[name] = 0.98 * recent.get(name, float(part.detach())) + 0.02 * float(part.detach())
+        for name, value in values.items():
+            recent[name] = 0.98 * recent.get(name, value) + 0.02 * value
         done = step + 1
-        record: dict[str, Any] = {"step": done, "views": len(pool), "seconds": round(clock() - started, 1)}
+        record: dict[str, Any] = {"step": done, "seconds": round(clock() - started, 1)}
         if done % schedule.log_every == 0:
             append_log(log_path, record | {name: round(value, 4) for name, value in recent.items()})
         if done % schedule.checkpoint_every == 0 or done == schedule.steps:
             append_log(log_path, record | checkpoint(averaged.network, done))
     return averaged.network
+
+
+def add_options(parser: argparse.ArgumentParser, *, steps: int, images: int) -> None:
+    """What can be chosen for any network."""
+    parser.add_argument("--steps", type=int, default=steps)
+    parser.add_argument("--images", type=int, default=images, help="views that are rendered in all")
+    parser.add_argument("--shard", type=int, default=200, help="views that are rendered at a time")
+    parser.add_argument("--batch", type=int, default=8, help="images a step")
+    parser.add_argument("--learning-rate", type=float, default=2e-3)
+    parser.add_argument("--checkpoint-every", type=int, default=500, metavar="STEPS")
+    parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument("--threads", type=int, default=1)
+    parser.add_argument("--workers", type=int, default=0, help="processes that render and draw; 0: training's own")
+    parser.add_argument("--device", choices=("auto", "cpu", "cuda"), default="cpu")
 
 
 def append_log(path: Path, record: dict[str, Any]) -> None:

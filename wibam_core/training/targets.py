@@ -64,6 +64,10 @@ class Targets:
     boxes3d: Tensor
     cameras: CameraTensors
 
+    def to(self, device: torch.device) -> Targets:
+        """The same on another device."""
+        return Targets(**{name: value.to(device) for name, value in vars(self).items()})
+
 
 def encode(views: Sequence[LabelledView]) -> Targets:
     """Targets for views of equal image size."""

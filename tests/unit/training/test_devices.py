@@ -158,7 +158,8 @@ def test_trains_on_cuda(
     dataset: SiteDataset, tmp_path: Path, network: type[nn.Module], method: str, dtype: torch.dtype
 ) -> None:
     precision = Precision(choose_device("cuda"), dtype)
-    config = options(method=method, steps=20, steps_per_epoch=5, learning_rate=1e-3)
+    kind = "custom" if network is DLA34 else "small"
+    config = options(method=method, network=kind, steps=20, steps_per_epoch=5, learning_rate=1e-3)
     torch.manual_seed(0)
     result = finetune_on(1, precision, network(), dataset, config, silent, tmp_path)
     assert result.epochs[-1].train["total"] < result.epochs[0].train["total"]
@@ -168,5 +169,7 @@ def test_trains_on_cuda(
 @pytest.mark.skipif(torch.cuda.device_count() < 2, reason="there are not two CUDA devices here")
 def test_trains_on_two_cuda_devices(dataset: SiteDataset, tmp_path: Path) -> None:
     torch.manual_seed(0)
-    result = finetune_on(2, Precision.of(choose_device("cuda")), DLA34(), dataset, options(), silent, tmp_path)
+    result = finetune_on(
+        2, Precision.of(choose_device("cuda")), DLA34(), dataset, options(network="custom"), silent, tmp_path
+    )
     assert not any(isinstance(module, nn.SyncBatchNorm) for module in result.network.modules())
