@@ -73,7 +73,7 @@ def measure(
         for way in ways:
 
             def boxes(network: RunnableNetwork = way.network) -> None:
-                list(predict(network, frames, decode="plane", min_score=MIN_SCORE, batch_size=batch))
+                list(predict(network, frames, decode="fitted", min_score=MIN_SCORE, batch_size=batch))
 
             seconds = {"forward": timed(way.forward, clock), "boxes": timed(boxes, clock)}
             if number >= 2:  # the first rounds warm up
@@ -105,7 +105,7 @@ def main() -> None:
     contiguous = batches_of(frames, arguments.batch, "cpu", torch.contiguous_format)
     ways = [Way("torch", network, channels_last), Way("ONNX Runtime", OnnxNetwork.of(network, 1), contiguous)]
     taken = measure(ways, frames, arguments.batch, arguments.rounds, time.process_time)
-    found = sum(map(len, predict(ways[1].network, frames, decode="plane", min_score=MIN_SCORE)))
+    found = sum(map(len, predict(ways[1].network, frames, decode="fitted", min_score=MIN_SCORE)))
     size = "x".join(map(str, SIZE_PX))
     print(f"{len(frames)} images of {size} px, {found} vehicles found; 1 thread, batches of {arguments.batch}")
     for way, seconds in taken.items():

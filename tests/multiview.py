@@ -1,6 +1,6 @@
 """A small traffic scene with exact geometry: bodies of parts, painted into an id image, visible boxes with jitter.
 
-It is independent of `wibam_core.lifting.templates`: bodies consist of convex parts that differ between vehicles.
+It is independent of `wibam_core.bodies`: bodies consist of convex parts that differ between vehicles.
 """
 
 from __future__ import annotations

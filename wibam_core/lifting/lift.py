@@ -11,6 +11,7 @@ import numpy as np
 import torch
 
 from wibam_core.association.rays import rig_centre
+from wibam_core.bodies import TEMPLATES
 from wibam_core.config import LiftConfig
 from wibam_core.geometry.camera import Camera
 from wibam_core.geometry.se3 import SE3, normalise_angle
@@ -22,8 +23,8 @@ from wibam_core.lifting.noise import noise_of, persistence
 from wibam_core.lifting.observations import Observations, observe
 from wibam_core.lifting.orientation import standing_headings
 from wibam_core.lifting.shapes import Shapes, learn_shapes
+from wibam_core.lifting.size_priors import LOG_SIZE_MEAN, LOG_SIZE_SD
 from wibam_core.lifting.sizes import size_information, track_sizes
-from wibam_core.lifting.templates import LOG_SIZE_MEAN, LOG_SIZE_SD, TEMPLATES
 from wibam_core.lifting.trajectory import Motion, Tracks, smooth
 from wibam_core.progress import Progress, silent
 from wibam_core.scene import AnnotatedInstant, CameraRig, FloatArray, Vehicles3D

@@ -14,6 +14,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from wibam_core.bodies import TEMPLATES
 from wibam_core.lifting.fit import (
     LOG_HEIGHT,
     LOG_LENGTH,
@@ -28,7 +29,7 @@ from wibam_core.lifting.fit import (
     predicted_edges,
     with_bodies,
 )
-from wibam_core.lifting.templates import LOG_SIZE_MEAN, LOG_SIZE_SD, TEMPLATES
+from wibam_core.lifting.size_priors import LOG_SIZE_MEAN, LOG_SIZE_SD
 from wibam_core.lifting.trajectory import Tracks
 from wibam_core.scene import CLASSES, FloatArray, IntArray
 

@@ -17,7 +17,7 @@ from wibam_core.geometry.torch_ops import CameraTensors, rays
 from wibam_core.models.small import REFERENCE_FOCAL_PX, UNCERTAINTY_GROUPS, SmallOutputs
 from wibam_core.models.trunk import STRIDE
 
-Decode = Literal["plane", "depth", "fused", "ground"]
+Decode = Literal["plane", "depth", "fused", "ground", "fitted"]
 
 
 def read_decode(curves: Mapping[str, Any]) -> Decode:
@@ -27,6 +27,10 @@ def read_decode(curves: Mapping[str, Any]) -> Decode:
         raise ValueError(f"no decoding is called {decode!r}")
     return decode
 
+
+#: Steps x, y from a peak to the cells that are taught its vehicle: itself, which comes first, and its neighbours, since
+#: inference may find the peak one cell off.
+TAUGHT_CELLS = ((0, 0), (1, 0), (-1, 0), (0, 1), (0, -1))
 
 #: Where the footprint's uncertainty stands among `UNCERTAINTY_GROUPS`.
 _FOOTPRINT = UNCERTAINTY_GROUPS.index("footprint")
@@ -79,6 +83,44 @@ def gather(outputs: SmallOutputs, image: Tensor, cells: Tensor, classes: Tensor)
     )
 
 
+def gather_around(outputs: SmallOutputs, image: Tensor, cells: Tensor, classes: Tensor) -> PeakValues:
+    """As `gather`, but means over all cells that are taught a peak's vehicle, offsets as from the peak's own cell.
+
+    The scales are those of the peak. Errors of the cells differ a little, so that their mean errs less.
+    """
+    height, width = outputs.heat.shape[2:]
+    steps = torch.tensor(TAUGHT_CELLS, device=cells.device)
+    around = cells[:, None] + steps
+    inside = ((around >= 0) & (around < torch.tensor([width, height], device=cells.device))).all(dim=-1)
+    steps = torch.where(inside[..., None], steps, 0)
+    each = gather(
+        outputs,
+        image.repeat_interleave(len(TAUGHT_CELLS)),
+        (cells[:, None] + steps).flatten(0, 1),
+        classes.repeat_interleave(len(TAUGHT_CELLS)),
+    )
+
+    def mean(values: Tensor, offset: bool = False) -> Tensor:
+        values = values.unflatten(0, (len(cells), len(TAUGHT_CELLS)))
+        if offset:
+            values = torch.cat([values[..., :2] + steps, values[..., 2:]], dim=-1)
+        weight = inside.double().reshape(*inside.shape, *[1] * (values.dim() - 2))
+        return (weight * values).sum(dim=1) / weight.sum(dim=1)
+
+    return PeakValues(
+        image,
+        cells,
+        classes,
+        mean(each.box2d, offset=True),
+        mean(each.centre3d, offset=True),
+        mean(each.depth),
+        mean(each.size),
+        mean(each.yaw),
+        mean(each.footprint, offset=True),
+        each.log_scale[:: len(TAUGHT_CELLS)],
+    )
+
+
 def cell_centres_px(cells: Tensor) -> Tensor:
     """Input pixels (N, 2) of (possibly fractional) cells (N, 2)."""
     return (cells + 0.5) * STRIDE - 0.5
@@ -108,6 +150,7 @@ def boxes3d(values: PeakValues, cameras: CameraTensors, mean_sizes_m: Tensor, de
     ``depth``: the centre lies on that ray at the regressed depth.
     ``fused``: on that ray between the two, each weighted by its regressed precision, and half its height above ground.
     ``ground``: over the place where the ray through the footprint's projected centre meets the ground, z = 0.
+    ``fitted``: as ``ground``, where the fit to all that the heads say begins (`wibam_core.models.reconcile`).
     """
     seen_by = cameras[values.image]
     sizes = sizes_m(values, mean_sizes_m)
@@ -125,7 +168,7 @@ def _aimed(values: PeakValues, centre_m: Tensor, decode: Decode) -> tuple[PeakVa
 
     ``centre_m`` (N,) is how high the 3D centres lie.
     """
-    if decode != "ground":
+    if decode not in ("ground", "fitted"):
         return values, centre_m
     log_scale = torch.cat([values.log_scale[:, [_FOOTPRINT]], values.log_scale[:, 1:]], dim=-1)
     return replace(values, centre3d=values.footprint, log_scale=log_scale), torch.zeros_like(centre_m)
@@ -153,7 +196,7 @@ def _plane_share(seen_by: CameraTensors, values: PeakValues, plane_m: Tensor, de
     if decode != "fused":
         return torch.ones_like(plane_m)
     with torch.no_grad():
-        deviation = _deviations(values)
+        deviation = deviations(values)
         directions, higher, lower = _rays_within(seen_by, values, deviation)
         reach = _reach_of_plane(seen_by, directions, plane_m)
         of_pixel = (_reach_of_plane(seen_by, higher, plane_m) - _reach_of_plane(seen_by, lower, plane_m)) / 2
@@ -177,6 +220,11 @@ def centres3d_px(values: PeakValues) -> Tensor:
     return cell_centres_px(values.cells + values.centre3d)
 
 
+def footprints_px(values: PeakValues) -> Tensor:
+    """Projected centres of the footprints (N, 2), input px."""
+    return cell_centres_px(values.cells + values.footprint)
+
+
 def focal_px(cameras: CameraTensors) -> Tensor:
     """(N,) geometric means of the focal lengths."""
     return torch.sqrt(cameras.K[:, 0, 0] * cameras.K[:, 1, 1])
@@ -197,7 +245,7 @@ def _grazes(directions: Tensor) -> Tensor:
     return directions[:, 2] > _least_descent(directions)
 
 
-def _deviations(values: PeakValues) -> Tensor:
+def deviations(values: PeakValues) -> Tensor:
     """(N, 5) standard deviations of `UNCERTAINTY_GROUPS`: a regressed scale is that of a Laplace distribution."""
     return values.log_scale.clamp(-6.0, 3.0).exp() * 2**0.5
 
@@ -221,7 +269,7 @@ def standard_deviations(values: PeakValues, boxes: Tensor, cameras: CameraTensor
     """
     seen_by = cameras[values.image]
     values, plane_m = _aimed(values, boxes[:, 5] / 2, decode)
-    scale = _deviations(values)
+    scale = deviations(values)
     size_sd = boxes[:, 3:6] * scale[:, 2:3]
     plane_share = _plane_share(seen_by, values, plane_m, decode)
 

@@ -13,8 +13,9 @@ from torch import Tensor
 
 from wibam_core.geometry.camera import Camera
 from wibam_core.geometry.torch_ops import CameraTensors
-from wibam_core.models.decode import Decode, boxes2d_px, boxes3d, find_peaks, gather, standard_deviations
+from wibam_core.models.decode import Decode, boxes2d_px, boxes3d, find_peaks, gather_around, standard_deviations
 from wibam_core.models.onnx_network import OnnxNetwork
+from wibam_core.models.reconcile import reconciled
 from wibam_core.models.small import INPUT_WIDTH_PX, SmallNetwork, SmallOutputs
 from wibam_core.models.trunk import INPUT_MULTIPLE
 from wibam_core.scene import Vehicles3D
@@ -125,11 +126,13 @@ def _predict_batch(
     with torch.inference_mode():
         outputs = _run(network, np.stack(images))
         peaks = find_peaks(outputs.heat, min_score)
-        values = gather(outputs, peaks.image, peaks.cells, peaks.classes)
+        values = gather_around(outputs, peaks.image, peaks.cells, peaks.classes)
         predicted = boxes3d(values, cameras, network.mean_sizes_m.cpu(), decode)
-        sd = standard_deviations(values, predicted, cameras, decode).numpy()
+        deviation = standard_deviations(values, predicted, cameras, decode)
+        if decode == "fitted":
+            predicted, deviation = reconciled(values, predicted, deviation, cameras)
         boxes2d = boxes2d_px(values).numpy()
-    boxes, image, scores = predicted.numpy(), peaks.image.numpy(), peaks.scores.double().numpy()
+    boxes, sd, image, scores = predicted.numpy(), deviation.numpy(), peaks.image.numpy(), peaks.scores.double().numpy()
     finite = np.isfinite(boxes).all(axis=1)
     for index, frame in enumerate(frames):
         mine = np.flatnonzero((image == index) & finite)

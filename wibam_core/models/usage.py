@@ -12,7 +12,7 @@ from wibam_core.errors import InvalidWeights
 from wibam_core.models.decode import Decode
 
 #: How the small network's boxes can be placed along the ray; first what a file means that does not say.
-SMALL_DECODES: tuple[Decode, ...] = ("plane", "depth", "fused", "ground")
+SMALL_DECODES: tuple[Decode, ...] = ("plane", "depth", "fused", "ground", "fitted")
 #: The same of CenterTrack's DLA-34, which states no uncertainties to fuse by.
 DLA34_DECODES: tuple[Decode, ...] = ("depth", "plane")
 

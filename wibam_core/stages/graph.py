@@ -103,12 +103,13 @@ _SPECS = (
     ),
     StageSpec("associate", "Associate views and link over time", ("calibrate", "detect"), ("association",)),
     StageSpec("dataset", "Split in time", ("calibrate", "associate"), ("dataset",)),
-    StageSpec("lift", "Fit 7DoF boxes to all views", ("calibrate", "associate", "dataset"), ("lifting",)),
+    StageSpec("lift", "Fit 7DoF boxes to all views", ("calibrate", "associate", "dataset"), ("lifting", "bodies.py")),
     StageSpec(
         "finetune",
         "Fine-tune the 3D detector",
         ("calibrate", "frames", "associate", "dataset", "lift"),
         (
+            "bodies.py",
             "models",
             "training",
             "dataset/split.py",
@@ -123,14 +124,14 @@ _SPECS = (
         "evaluate",
         "Evaluate",
         ("calibrate", "frames", "associate", "dataset", "finetune"),
-        ("models", "evaluation", "training/device.py"),
+        ("bodies.py", "models", "evaluation", "training/device.py"),
         assets=("labels", "network"),
     ),
     StageSpec(
         "track",
         "Track in 7DoF",
         ("calibrate", "frames", "finetune"),
-        ("models", "tracking", "evaluation/uncertainty.py", "training/device.py"),
+        ("bodies.py", "models", "tracking", "evaluation/uncertainty.py", "training/device.py"),
     ),
     StageSpec("safety", "Find conflicts", ("track",), ("safety",)),
     StageSpec(

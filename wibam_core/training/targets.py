@@ -13,6 +13,7 @@ from torch import Tensor
 
 from wibam_core.geometry.camera import Camera
 from wibam_core.geometry.torch_ops import CameraTensors
+from wibam_core.models.decode import TAUGHT_CELLS
 from wibam_core.models.small import MEAN_SIZES_M, REFERENCE_FOCAL_PX
 from wibam_core.models.trunk import STRIDE
 from wibam_core.scene import CLASSES
@@ -21,9 +22,6 @@ from wibam_core.training.views import FloatArray, LabelledView
 #: A projected 3D centre farther than this from the 2D box's centre belongs to a truncated vehicle, whose visible part
 #: does not tell where its centre is; left in, such vehicles dominate the loss.
 MAX_CENTRE_OFFSET_CELLS = 14.0
-
-#: Cells around a peak that are taught as well, since inference may find the peak one cell off.
-_NEIGHBOURS = ((0, 0), (1, 0), (-1, 0), (0, 1), (0, -1))
 
 #: Standard deviation of a heat peak, as a share of the 2D box's side (Liu et al. 2020, TTFNet: 0.54 / 6).
 _SIGMA_SHARE = 0.09
@@ -115,9 +113,9 @@ def _centre_cells(boxes: FloatArray) -> NDArray[np.int64]:
 
 
 def _taught_cells(view: LabelledView, image: int, first_vehicle: int, width: int, height: int) -> dict[str, NDArray]:
-    n, k = len(view.classes), len(_NEIGHBOURS)
+    n, k = len(view.classes), len(TAUGHT_CELLS)
     vehicle = np.repeat(np.arange(n), k)
-    cells = (_centre_cells(view.boxes2d)[:, None] + np.array(_NEIGHBOURS)).reshape(-1, 2)
+    cells = (_centre_cells(view.boxes2d)[:, None] + np.array(TAUGHT_CELLS)).reshape(-1, 2)
     inside = ((cells >= 0) & (cells < [width, height])).all(axis=1)
     is_centre = np.tile(np.arange(k) == 0, n)[inside]
     vehicle, cells = vehicle[inside], cells[inside]

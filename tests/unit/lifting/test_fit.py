@@ -7,11 +7,12 @@ import pytest
 import torch
 
 from tests.builders import corner_rig
+from wibam_core.bodies import TEMPLATES
 from wibam_core.geometry.box3d import vehicle_to_world
 from wibam_core.geometry.torch_ops import CameraTensors
 from wibam_core.lifting.fit import YAW, FitProblem, _linearise, evaluate, fit, with_noise, yaw_starts
 from wibam_core.lifting.noise import noise_of
-from wibam_core.lifting.templates import LOG_SIZE_MEAN, LOG_SIZE_SD, TEMPLATES
+from wibam_core.lifting.size_priors import LOG_SIZE_MEAN, LOG_SIZE_SD
 from wibam_core.scene import CLASSES, CameraRig, VehicleClass
 
 RIG = corner_rig()

@@ -8,9 +8,9 @@ import pytest
 import torch
 
 from tests.unit.lifting.test_fit import RIG, problem, random_vehicles, template_boxes
+from wibam_core.bodies import TEMPLATES
 from wibam_core.lifting.fit import FitProblem, fit, with_bodies, with_noise
 from wibam_core.lifting.shapes import FEWEST_TRACKS, MODE_SD, MODES, Shapes, deformed, learn_shapes
-from wibam_core.lifting.templates import TEMPLATES
 from wibam_core.lifting.trajectory import Tracks
 from wibam_core.scene import CLASSES, VehicleClass
 

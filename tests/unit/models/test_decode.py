@@ -9,16 +9,19 @@ import torch
 from tests.builders import look_at
 from wibam_core.geometry.torch_ops import CameraTensors
 from wibam_core.models.decode import (
+    TAUGHT_CELLS,
     Decode,
     PeakValues,
     boxes3d,
     cell_centres_px,
     cells_of_px,
     find_peaks,
+    gather_around,
     standard_deviations,
     wrap_angle,
 )
-from wibam_core.models.small import MEAN_SIZES_M
+from wibam_core.models.export import SMALL_CHANNELS
+from wibam_core.models.small import MEAN_SIZES_M, SmallOutputs
 
 SIZES = torch.tensor(MEAN_SIZES_M)
 
@@ -63,7 +66,7 @@ def test_decoding_is_differentiable(decode: Decode) -> None:
     assert torch.autograd.gradcheck(decoded, leaves, atol=1e-5)
 
 
-@pytest.mark.parametrize("decode", ["plane", "fused", "ground"])
+@pytest.mark.parametrize("decode", ["plane", "fused", "ground", "fitted"])
 def test_boxes_stand_on_the_ground(decode: Decode) -> None:
     boxes = boxes3d(values(), cameras(), SIZES, decode)
     torch.testing.assert_close(boxes[:, 2], boxes[:, 5] / 2)
@@ -92,7 +95,7 @@ def test_boxes_are_finite_and_plausible_whatever_the_network_says() -> None:
         wild.footprint * 100,
         wild.log_scale * 100,
     )
-    for decode in ("plane", "depth", "fused", "ground"):
+    for decode in ("plane", "depth", "fused", "ground", "fitted"):
         boxes = boxes3d(wild, cameras(), SIZES, decode)
         assert torch.isfinite(boxes).all()
         assert (boxes[:, 3:6] > 0).all()
@@ -226,3 +229,27 @@ def test_peaks_are_local_maxima_best_first() -> None:
     assert peaks.scores.tolist() == pytest.approx([0.9526, 0.7311, 0.5], abs=1e-3)
     assert len(find_peaks(heat, 0.3, top_k=1).image) == 2
     assert len(find_peaks(heat, 0.99).image) == 0
+
+
+@pytest.mark.parametrize(("cell", "told_by"), [((4, 3), [0, 1, 2, 3, 4]), ((0, 5), [0, 1, 4]), ((7, 0), [0, 2, 3])])
+def test_all_cells_that_know_a_vehicle_have_a_say(cell: tuple[int, int], told_by: list[int]) -> None:
+    """Each cell tells the same vehicle by its own offset, but for an error of its own."""
+    rng = np.random.default_rng(5)
+    maps = {name: torch.zeros(2, channels, 6, 8) for name, channels in SMALL_CHANNELS.items()}
+    truth = {name: rng.normal(size=len(maps[name][0])) for name in ("box2d", "centre3d", "footprint", "size", "yaw")}
+    errors = rng.normal(size=5)
+    for number in told_by:
+        step = np.array(TAUGHT_CELLS[number])
+        x, y = np.array(cell) + step
+        for name, value in truth.items():
+            offset = np.zeros(len(value)) if name in ("size", "yaw") else np.pad(step, (0, len(value) - 2))
+            maps[name][1, :, y, x] = torch.tensor(value + errors[number] - offset)
+        maps["depth"][1, 0, y, x] = 3.0 + errors[number]
+        maps["log_scale"][1, :, y, x] = float(number)
+    found = gather_around(SmallOutputs(**maps), torch.tensor([1]), torch.tensor([cell]), torch.tensor([2]))
+    error = errors[told_by].mean()
+    for name, value in truth.items():
+        np.testing.assert_allclose(getattr(found, name)[0].numpy(), value + error, atol=1e-6)
+    assert float(found.depth[0]) == pytest.approx(3.0 + error, abs=1e-6)
+    assert found.log_scale[0].tolist() == [0.0] * 5
+    assert (found.image.tolist(), found.cells.tolist(), found.classes.tolist()) == ([1], [list(cell)], [2])

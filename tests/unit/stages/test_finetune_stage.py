@@ -54,8 +54,8 @@ def test_writes_weights_and_curves(tmp_path: Path) -> None:
     found = OnnxNetwork.load(context.output / "weights.onnx")(images)
     torch.testing.assert_close(vars(found), vars(expected), atol=1e-3, rtol=0)
     curves = json.loads((context.output / "curves.json").read_text())
-    assert curves["decode"] == "ground"
-    said = Usage("ground", curves["sd_factors"])
+    assert curves["decode"] == "fitted"
+    said = Usage("fitted", curves["sd_factors"])
     assert said.sd_factors.keys() == {"position", "z", "size", "yaw"}
     assert usage_of(context.output / "weights.safetensors") == said
     assert OnnxNetwork.load(context.output / "weights.onnx").usage == said

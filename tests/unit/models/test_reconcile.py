@@ -1,0 +1,198 @@
+"""Boxes from all that the heads say about them."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import torch
+from torch import Tensor
+
+from tests.builders import look_at
+from wibam_core.bodies import TEMPLATES
+from wibam_core.geometry.torch_ops import CameraTensors, project, rays
+from wibam_core.models.decode import (
+    PeakValues,
+    azimuths_rad,
+    boxes3d,
+    cells_of_px,
+    focal_px,
+    standard_deviations,
+    wrap_angle,
+)
+from wibam_core.models.reconcile import comparable_edges, reconciled
+from wibam_core.models.small import MEAN_SIZES_M, REFERENCE_FOCAL_PX
+from wibam_core.models.trunk import STRIDE
+
+SIZES = torch.tensor(MEAN_SIZES_M)
+CAMERA = look_at((20.0, 0.0, 7.0), focal_px=400.0, width_px=640, height_px=384)
+CAMERAS = CameraTensors.from_cameras([CAMERA] * 64, torch.float64)
+
+
+def vehicles(n: int = 24, seed: int = 0) -> tuple[Tensor, Tensor]:
+    """Boxes (n, 7) in view of the camera, not near its border, and classes (n,)."""
+    rng = np.random.default_rng(seed)
+    classes = torch.tensor(rng.integers(0, 4, n))
+    size = SIZES.double()[classes] * torch.tensor(np.exp(rng.normal(0, 0.06, (n, 3))))
+    place = torch.tensor(rng.uniform(-4, 4, (n, 2)))
+    yaw = torch.tensor(rng.uniform(-np.pi, np.pi, (n, 1)))
+    return torch.cat([place, size[:, 2:] / 2, size, yaw], dim=1), classes
+
+
+def outline_px(boxes: Tensor, classes: Tensor) -> Tensor:
+    local = torch.tensor(TEMPLATES)[classes] * boxes[:, None, 3:6]
+    cos, sin = torch.cos(boxes[:, 6:]), torch.sin(boxes[:, 6:])
+    x, y = (cos * local[..., 0] - sin * local[..., 1], sin * local[..., 0] + cos * local[..., 1])
+    points = torch.stack([x, y, local[..., 2]], dim=-1) + boxes[:, None, :3]
+    pixels, _ = project(CAMERAS[: len(boxes)], points)
+    return torch.cat([pixels.amin(dim=1), pixels.amax(dim=1)], dim=1)
+
+
+def told(boxes: Tensor, classes: Tensor, log_scale: tuple[float, ...] = (-3.0,) * 5) -> PeakValues:
+    """What heads that know all say of boxes, one in each image."""
+    n = len(boxes)
+    seen_by = CAMERAS[:n]
+    edges = outline_px(boxes, classes)
+    middle = cells_of_px((edges[:, :2] + edges[:, 2:]) / 2)
+    cells = middle.round()
+    centre, depth = project(seen_by, boxes[:, :3])
+    footprint, _ = project(seen_by, boxes[:, :3] * torch.tensor([1.0, 1.0, 0.0]))
+    alpha = boxes[:, 6] - azimuths_rad(rays(seen_by, centre))
+    return PeakValues(
+        torch.arange(n),
+        cells.long(),
+        classes,
+        torch.cat([middle - cells, ((edges[:, 2:] - edges[:, :2]) / STRIDE).log()], dim=1),
+        cells_of_px(centre) - cells,
+        (depth * REFERENCE_FOCAL_PX / focal_px(seen_by)).log(),
+        (boxes[:, 3:6] / SIZES.double()[classes]).log(),
+        torch.stack([alpha.sin(), alpha.cos()], dim=1),
+        cells_of_px(footprint) - cells,
+        torch.tensor(log_scale).double().expand(n, 5),
+    )
+
+
+def blurred(values: PeakValues, seed: int) -> PeakValues:
+    """With normal errors as large as the values say of themselves, and edges a pixel off."""
+    rng = np.random.default_rng(seed)
+    sd = values.log_scale.exp() * 2**0.5
+
+    def noise(columns: int, group: int) -> Tensor:
+        return torch.tensor(rng.normal(size=(len(sd), columns))) * sd[:, [group]]
+
+    turn = noise(1, 3)[:, 0]
+    alpha = torch.atan2(values.yaw[:, 0], values.yaw[:, 1]) + turn
+    return replace(
+        values,
+        box2d=values.box2d + torch.tensor(rng.normal(0, 0.1, values.box2d.shape)) * torch.tensor([1.0, 1.0, 0.1, 0.1]),
+        centre3d=values.centre3d + noise(2, 0),
+        depth=values.depth + noise(1, 1)[:, 0],
+        size=values.size + noise(3, 2),
+        yaw=torch.stack([alpha.sin(), alpha.cos()], dim=1),
+        footprint=values.footprint + noise(2, 4),
+    )
+
+
+def both(values: PeakValues) -> tuple[Tensor, Tensor, Tensor]:
+    """Boxes where the fits start, then fitted ones and their standard deviations."""
+    cameras = CAMERAS[: len(values.image)]
+    start = boxes3d(values, cameras, SIZES, "fitted")
+    found, sd = reconciled(values, start, standard_deviations(values, start, cameras, "fitted"), cameras)
+    return start, found, sd
+
+
+def test_heads_that_agree_are_believed() -> None:
+    boxes, classes = vehicles()
+    start, found, _ = both(told(boxes, classes))
+    torch.testing.assert_close(start, boxes, atol=1e-6, rtol=0)
+    torch.testing.assert_close(found, boxes, atol=1e-4, rtol=0)
+
+
+def test_heads_that_err_correct_each_other() -> None:
+    boxes, classes = vehicles(60)
+    start, found, sd = both(blurred(told(boxes, classes, (-0.5, -2.0, -2.5, -3.0, -0.5)), seed=1))
+
+    def errors(given: Tensor) -> tuple[Tensor, Tensor]:
+        return torch.linalg.norm((given - boxes)[:, :2], dim=1), (given / boxes)[:, 3:6].log().abs()
+
+    for before, after in zip(errors(start), errors(found), strict=True):
+        assert float(after.mean()) < 0.8 * float(before.mean())
+    assert bool((found[:, 2] - found[:, 5] / 2).abs().max() < 1e-9)
+    sizes = ((found - boxes) / sd)[:, 3:6]
+    assert 0.5 < float(sizes.square().mean().sqrt()) < 2.0
+
+
+def test_uncertainties_say_whom_to_believe() -> None:
+    boxes, classes = vehicles()
+    values = told(boxes, classes)
+    wrong = replace(values, footprint=values.footprint + 2.0)
+    unsure = values.log_scale.clone()
+    unsure[:, 4] = 2.0
+    _, trusted, _ = both(wrong)
+    _, found, _ = both(replace(wrong, log_scale=unsure))
+    away, near = (float(torch.linalg.norm((b - boxes)[:, :2], dim=1).mean()) for b in (trusted, found))
+    assert near < 0.1 * away
+
+
+def test_what_leads_nowhere_stays_where_it_was() -> None:
+    boxes, classes = vehicles()
+    values = told(boxes, classes)
+    torn = replace(values, depth=values.depth + 2.0, centre3d=values.centre3d - 40.0)
+    start, found, sd = both(torn)
+    assert bool(torch.isfinite(found).all() & torch.isfinite(sd).all() & (sd >= 0).all())
+    assert float(torch.linalg.norm((found - start)[:, :2], dim=1).max()) <= 3.0
+    nothing = told(*vehicles(0))
+    assert both(nothing)[1].shape == (0, 7)
+
+
+def test_a_cut_edge_is_not_compared() -> None:
+    """A vehicle of which the image shows the left half alone is not made shorter."""
+    boxes, classes = vehicles(16, seed=3)
+    values = told(boxes, classes)
+    edges = outline_px(boxes, classes)
+    middle = (edges[:, 0] + edges[:, 2]) / 2
+    size = torch.stack([middle, torch.full_like(middle, 384.0)], dim=1)
+    cut = edges.clone()
+    cut[:, 2] = middle - 1
+    width = (cut[:, 2] - cut[:, 0]) / STRIDE
+    centre = cells_of_px((cut[:, :2] + cut[:, 2:]) / 2) - values.cells
+    seen = replace(values, box2d=torch.cat([centre, width.log()[:, None], values.box2d[:, 3:]], dim=1))
+    cameras = CAMERAS[:16]
+    narrow = replace(cameras, size=size)
+    for view, within in ((narrow, True), (cameras, False)):
+        found, _ = reconciled(seen, boxes, torch.ones_like(boxes), view)
+        error = (found - boxes)[:, :2].abs().max()
+        assert bool(error < 1e-3) == within
+
+
+@pytest.mark.parametrize(
+    ("other", "image", "hidden"),
+    [
+        ((150.0, 120.0, 260.0, 210.0), 0, [False, False, True, True]),  # nearer, over the lower right corner
+        ((150.0, 120.0, 260.0, 190.0), 0, [False, False, False, False]),  # farther away: behind
+        ((150.0, 120.0, 260.0, 210.0), 1, [False, False, False, False]),  # in another image
+        ((195.0, 190.0, 260.0, 210.0), 0, [False, False, False, False]),  # over a corner alone
+        ((90.0, 90.0, 210.0, 210.0), 0, [True, True, True, True]),
+    ],
+)
+def test_edges_behind_a_nearer_vehicle_are_not_compared(
+    other: tuple[float, ...], image: int, hidden: list[bool]
+) -> None:
+    boxes = torch.tensor([(100.0, 100.0, 200.0, 200.0), other])
+    size = torch.tensor([[640.0, 384.0]] * 2)
+    told = comparable_edges(boxes.double(), torch.tensor([0, image]), size)
+    assert told[0].tolist() == [not edge for edge in hidden]
+    assert bool(told[1].all()) == (other[3] > 200.0)  # else the first hides it
+
+
+def test_edges_at_the_border_are_not_compared() -> None:
+    boxes = torch.tensor([(1.0, 50.0, 638.0, 383.0)])
+    told = comparable_edges(boxes, torch.tensor([0]), torch.tensor([[640.0, 384.0]]))
+    assert told.tolist() == [[False, True, False, False]]
+
+
+def test_angles_are_wrapped() -> None:
+    boxes, classes = vehicles()
+    boxes[:, 6] = np.pi - 1e-3
+    _, found, _ = both(blurred(told(boxes, classes), seed=2))
+    assert bool((found[:, 6].abs() <= np.pi).all())
+    assert float(wrap_angle(found[:, 6] - boxes[:, 6]).abs().max()) < 0.3

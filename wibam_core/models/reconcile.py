@@ -1,0 +1,158 @@
+"""One vehicle from all that the small network says about it.
+
+The heads say the same thing several times over: where the footprint is seen, where the 3D centre, how far away it is,
+how large the vehicle is and which way it points; and then the edges of its 2D box follow from its place, size and
+heading, by the class's body. They err differently. A few Gauss-Newton steps give the box on the ground that agrees best
+with them all, each by its stated uncertainty.
+"""
+
+from __future__ import annotations
+
+import torch
+from torch import Tensor
+
+from wibam_core.bodies import TEMPLATES
+from wibam_core.geometry.torch_ops import CameraTensors, project
+from wibam_core.models.decode import (
+    PeakValues,
+    boxes2d_px,
+    centres3d_px,
+    deviations,
+    focal_px,
+    footprints_px,
+    wrap_angle,
+)
+from wibam_core.models.small import REFERENCE_FOCAL_PX, UNCERTAINTY_GROUPS
+from wibam_core.models.trunk import STRIDE
+
+#: Standard deviation of an edge of the regressed 2D box about the body's: px, and share of the box's side.
+_EDGE_SD_PX, _EDGE_SD_SHARE = 0.7, 0.03
+#: Stated headings are trusted this many times as much as they ask for: else the edges turn vehicles.
+_YAW_TRUST = 2.0
+#: An edge nearer to the image's border than this may have been cut by it, px.
+_BORDER_PX = 3.0
+#: An edge of which a nearer vehicle's box covers more than this share may be hidden by it.
+_HIDDEN_SHARE = 0.3
+#: Residuals beyond this many standard deviations count less and less.
+_ROBUST_SD = 3.0
+_STEPS = 2
+#: A box that would move farther than this over the ground stays where it was, m.
+_FARTHEST_M = 3.0
+
+#: The parameters: x, y, log length, log width, log height, yaw; derivatives are differences over so much each way.
+_DELTAS = (0.05, 0.05, 0.01, 0.01, 0.01, 0.01)
+_CENTRE, _DEPTH, _SIZE, _YAW, _FOOTPRINT = map(
+    UNCERTAINTY_GROUPS.index, ("centre3d", "depth", "size", "yaw", "footprint")
+)
+
+
+def reconciled(values: PeakValues, boxes: Tensor, sd: Tensor, cameras: CameraTensors) -> tuple[Tensor, Tensor]:
+    """Boxes (N, 7) that agree best with all heads, and their standard deviations (N, 7).
+
+    Args:
+        values: what the heads say, float64.
+        boxes: (N, 7) on the ground, where the fits start; one whose fit leads nowhere stays as it is.
+        sd: (N, 7) their standard deviations, kept with them.
+        cameras: (B,) of the batch, float64, at the network's input size.
+    """
+    if not len(boxes):
+        return boxes, sd
+    problem = _Problem(values, boxes, cameras)
+    parameters = torch.cat([boxes[:, :2], boxes[:, 3:6].log(), boxes[:, 6:]], dim=1)
+    information = torch.empty(0)
+    for _ in range(_STEPS):
+        information, gradient = problem.normal_equations(parameters)
+        step = torch.linalg.solve(information, -gradient)
+        parameters = parameters + torch.where(step.isfinite().all(dim=1, keepdim=True), step.clamp(-1.0, 1.0), 0.0)
+    variance = torch.linalg.inv(information).diagonal(dim1=-2, dim2=-1)
+    size = parameters[:, 2:5].exp()
+    found = torch.cat([parameters[:, :2], size[:, 2:] / 2, size, wrap_angle(parameters[:, 5:])], dim=1)
+    own = variance.clamp_min(0.0).sqrt()
+    size_sd = size * own[:, 2:5]
+    found_sd = torch.cat([own[:, :2], size_sd[:, 2:] / 2, size_sd, own[:, 5:].clamp(max=torch.pi)], dim=1)
+    moved = torch.linalg.norm(found[:, :2] - boxes[:, :2], dim=1)
+    good = (moved <= _FARTHEST_M) & (variance > 0).all(dim=1) & found.isfinite().all(dim=1)
+    return torch.where(good[:, None], found, boxes), torch.where(good[:, None], found_sd, sd)
+
+
+class _Problem:
+    """Residuals of N vehicles in standard deviations: four edges, footprint, 3D centre, depth, size and heading."""
+
+    def __init__(self, values: PeakValues, boxes: Tensor, cameras: CameraTensors) -> None:
+        self._seen_by = cameras[values.image]
+        self._bodies = torch.tensor(TEMPLATES)[values.classes]
+        edges = boxes2d_px(values)
+        side = (edges[:, 2:] - edges[:, :2]).repeat(1, 2)
+        told = comparable_edges(edges, values.image, self._seen_by.size)
+        # with a dimension for the guesses
+        self._edges, self._edge_weight = edges[:, None], (told / (_EDGE_SD_PX + _EDGE_SD_SHARE * side))[:, None]
+        self._footprint, self._centre = footprints_px(values)[:, None], centres3d_px(values)[:, None]
+        self._log_depth, self._focal_px = values.depth[:, None, None], focal_px(self._seen_by)[:, None, None]
+        self._log_size, self._yaw = boxes[:, None, 3:6].log(), boxes[:, None, 6:]
+        self._weight = 1 / deviations(values)[:, None]
+
+    def normal_equations(self, parameters: Tensor) -> tuple[Tensor, Tensor]:
+        """(N, 6, 6) information and (N, 6) gradient."""
+        deltas = torch.diag(torch.tensor(_DELTAS, dtype=parameters.dtype))
+        tried = torch.cat([torch.zeros_like(deltas[:1]), deltas, -deltas])
+        residuals, ahead, behind = self._residuals(parameters[:, None] + tried).split([1, 6, 6], dim=1)
+        jacobian = ((ahead - behind) / (2 * deltas.sum(dim=1)[:, None])).transpose(1, 2)
+        residuals = residuals[:, 0]
+        robust = 1 / (1 + (residuals / _ROBUST_SD).square())
+        weighted = robust[..., None] * jacobian
+        information = jacobian.transpose(1, 2) @ weighted + 1e-6 * torch.eye(len(_DELTAS), dtype=parameters.dtype)
+        return information, (weighted.transpose(1, 2) @ residuals[..., None])[..., 0]
+
+    def _residuals(self, parameters: Tensor) -> Tensor:
+        """(N, K, 13) of K guesses (N, K, 6) at the parameters of each vehicle."""
+        place, log_size, yaw = parameters[..., :2], parameters[..., 2:5], parameters[..., 5:]
+        size = log_size.exp()
+        local = self._bodies[:, None] * size[..., None, :]
+        cos, sin = torch.cos(yaw), torch.sin(yaw)
+        body = torch.stack(
+            [
+                place[..., :1] + cos * local[..., 0] - sin * local[..., 1],
+                place[..., 1:] + sin * local[..., 0] + cos * local[..., 1],
+                local[..., 2] + size[..., 2:] / 2,
+            ],
+            dim=-1,
+        )
+        footprint = torch.cat([place, torch.zeros_like(yaw)], dim=-1)
+        centre = torch.cat([place, size[..., 2:] / 2], dim=-1)
+        points = torch.cat([body, footprint[..., None, :], centre[..., None, :]], dim=-2)
+        pixels, depths = project(self._seen_by, points)
+        outline = pixels[..., :-2, :]
+        edges = torch.cat([outline.amin(dim=-2), outline.amax(dim=-2)], dim=-1)
+        log_depth = (depths[..., -1:].clamp_min(0.1) * REFERENCE_FOCAL_PX / self._focal_px).log()
+        weight = self._weight
+        return torch.cat(
+            [
+                (edges - self._edges) * self._edge_weight,
+                (pixels[..., -2, :] - self._footprint) / STRIDE * weight[..., [_FOOTPRINT]],
+                (pixels[..., -1, :] - self._centre) / STRIDE * weight[..., [_CENTRE]],
+                (log_depth - self._log_depth) * weight[..., [_DEPTH]],
+                (log_size - self._log_size) * weight[..., [_SIZE]],
+                _YAW_TRUST * wrap_angle(yaw - self._yaw) * weight[..., [_YAW]],
+            ],
+            dim=-1,
+        )
+
+
+def comparable_edges(boxes: Tensor, image: Tensor, size_px: Tensor) -> Tensor:
+    """(N, 4) which edges, left, top, right, bottom, of 2D boxes (N, 4) xyxy are the vehicle's own.
+
+    Others may be those of what hides it: the border of its image, ``size_px`` (N, 2), or a vehicle that stands nearer
+    in the same image (N,), which is one whose box reaches farther down.
+    """
+    inside = torch.cat([boxes[:, :2] > _BORDER_PX, boxes[:, 2:] < size_px - 1 - _BORDER_PX], dim=1)
+    nearer = (image[:, None] == image) & (boxes[:, 3] > boxes[:, None, 3] + 1.0)
+    own, other = boxes[:, None], boxes[None]
+    overlap = torch.minimum(own[..., 2:], other[..., 2:]) - torch.maximum(own[..., :2], other[..., :2])
+    share = overlap / (own[..., 2:] - own[..., :2])
+    # an upright edge is covered if it lies within the other's width, by the share of its height that both have
+    within = (own.unflatten(-1, (2, 2)) >= other[..., None, :2] - 2.0) & (
+        own.unflatten(-1, (2, 2)) <= other[..., None, 2:] + 2.0
+    )
+    covered = within & (share.flip(-1) > _HIDDEN_SHARE)[..., None, :]
+    hidden = (covered.flatten(-2) & nearer[..., None]).any(dim=1)
+    return inside & ~hidden
