@@ -62,9 +62,9 @@ def reconciled(values: PeakValues, boxes: Tensor, sd: Tensor, cameras: CameraTen
     information = torch.empty(0)
     for _ in range(_STEPS):
         information, gradient = problem.normal_equations(parameters)
-        step = torch.linalg.solve(information, -gradient)
+        step, _ = torch.linalg.solve_ex(information, -gradient)
         parameters = parameters + torch.where(step.isfinite().all(dim=1, keepdim=True), step.clamp(-1.0, 1.0), 0.0)
-    variance = torch.linalg.inv(information).diagonal(dim1=-2, dim2=-1)
+    variance = torch.linalg.inv_ex(information)[0].diagonal(dim1=-2, dim2=-1)
     size = parameters[:, 2:5].exp()
     found = torch.cat([parameters[:, :2], size[:, 2:] / 2, size, wrap_angle(parameters[:, 5:])], dim=1)
     own = variance.clamp_min(0.0).sqrt()

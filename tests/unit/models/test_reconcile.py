@@ -144,6 +144,20 @@ def test_what_leads_nowhere_stays_where_it_was() -> None:
     assert both(nothing)[1].shape == (0, 7)
 
 
+@pytest.mark.parametrize("number", [np.nan, np.inf])
+@pytest.mark.parametrize("head", ["depth", "box2d", "log_scale"])
+def test_a_head_that_is_not_finite_spoils_its_own_fit_alone(head: str, number: float) -> None:
+    boxes, classes = vehicles()
+    values = blurred(told(boxes, classes), seed=4)
+    whole = both(values)[1]
+    broken = getattr(values, head).clone()
+    broken[3] = number
+    start, found, _ = both(replace(values, **{head: broken}))
+    others = torch.arange(len(boxes)) != 3
+    torch.testing.assert_close(found[others], whole[others])
+    assert torch.allclose(found[3], start[3], equal_nan=True) or bool(found[3].isfinite().all())
+
+
 def test_a_cut_edge_is_not_compared() -> None:
     """A vehicle of which the image shows the left half alone is not made shorter."""
     boxes, classes = vehicles(16, seed=3)
