@@ -2,7 +2,8 @@
 
 Rows per site and seed:
 
-- ``baseline``: the bundled network, placed by the ground plane; ``baseline_depth``: by its own depth.
+- ``baseline``: the bundled network, placed by the ground plane; ``baseline_depth``: by its own depth;
+  ``baseline_fitted``: as the fine-tuned one is placed.
 - the methods of `TRAINED`, among them ``paper``: fine-tuned with the published loss (Howe et al. 2021, eq. 1), and
   ``lifted``: fine-tuned on the fits to all views, the default.
 - ``truth``: the same training on the true boxes of the same vehicles: what better labels could give.
@@ -47,7 +48,7 @@ from wibam_core.models.decode import Decode
 from wibam_core.stages.store import sha256_of
 
 #: The network before training -> how its boxes are placed.
-BASELINES: Mapping[str, Decode] = {"baseline_depth": "depth", "baseline": "plane"}
+BASELINES: Mapping[str, Decode] = {"baseline_depth": "depth", "baseline": "plane", "baseline_fitted": "fitted"}
 
 #: Method -> options of fine-tuning.
 TRAINED: Mapping[str, Mapping[str, Any]] = {
@@ -58,6 +59,7 @@ TRAINED: Mapping[str, Mapping[str, Any]] = {
     "lifted": {"method": "lifted"},
     "lifted_depth": {"method": "lifted", "decode": "depth"},
     "lifted_plane": {"method": "lifted", "decode": "plane"},
+    "lifted_ground": {"method": "lifted", "decode": "ground"},
     "combined": {"method": "combined"},
 }
 METHODS = (*BASELINES, *TRAINED, "truth", "labels")

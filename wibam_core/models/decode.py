@@ -1,4 +1,4 @@
-"""From output maps to boxes: differentiable, and the same code in losses and at inference.
+"""From output maps to boxes: differentiable, and the same code in losses and, but for `reconcile`, at inference.
 
 Maps have a pixel frame of their own: cell (x, y) is centred on input pixel ``(x + 0.5)·4 − 0.5``.
 """
@@ -62,6 +62,10 @@ class PeakValues:
     footprint: Tensor
     log_scale: Tensor
 
+    def __getitem__(self, index: Tensor) -> PeakValues:
+        """Some of the peaks."""
+        return PeakValues(**{name: value[index] for name, value in vars(self).items()})
+
 
 def gather(outputs: SmallOutputs, image: Tensor, cells: Tensor, classes: Tensor) -> PeakValues:
     """Read the heads at cells (N, 2) x, y of the images (N,)."""
@@ -84,7 +88,7 @@ def gather(outputs: SmallOutputs, image: Tensor, cells: Tensor, classes: Tensor)
 
 
 def gather_around(outputs: SmallOutputs, image: Tensor, cells: Tensor, classes: Tensor) -> PeakValues:
-    """As `gather`, but means over all cells that are taught a peak's vehicle, offsets as from the peak's own cell.
+    """As `gather`, but means over `TAUGHT_CELLS` about each peak, offsets as from the peak's own cell.
 
     The scales are those of the peak. Errors of the cells differ a little, so that their mean errs less.
     """

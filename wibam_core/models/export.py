@@ -61,7 +61,7 @@ def export_detector2d(detector: Detector2D, path: Path, width_px: int = 512, hei
     less and plus 4 times its distances. Metadata: ``family``, ``classes`` (a JSON list), ``stride``.
     """
     model = _onnx(
-        ExportedDetector2D(detector),
+        ExportedDetector2D(copy.deepcopy(detector).cpu()),
         torch.zeros(1, 3, height_px, width_px),
         ("heat", "ltrb"),
         {"image": {2: "height", 3: "width"}},

@@ -13,7 +13,7 @@ from torch import Tensor
 
 from wibam_core.geometry.camera import Camera
 from wibam_core.geometry.torch_ops import CameraTensors
-from wibam_core.models.decode import Decode, boxes2d_px, boxes3d, find_peaks, gather_around, standard_deviations
+from wibam_core.models.decode import Decode, boxes2d_px, boxes3d, find_peaks, gather, gather_around, standard_deviations
 from wibam_core.models.onnx_network import OnnxNetwork
 from wibam_core.models.reconcile import reconciled
 from wibam_core.models.small import INPUT_WIDTH_PX, SmallNetwork, SmallOutputs
@@ -93,7 +93,7 @@ def predict(
     Args:
         network: torch's is put into evaluation mode, and runs on its own device.
         frames: consumed as needed, at most ``batch_size`` in memory.
-        decode: how boxes are placed along the ray, see `wibam_core.models.decode.boxes3d`.
+        decode: how boxes are placed, see `wibam_core.models.decode.boxes3d` and `wibam_core.models.reconcile`.
         min_score: peaks below it are left out.
         batch_size: images per pass; images of one batch have equal prepared sizes.
     """
@@ -126,25 +126,35 @@ def _predict_batch(
     with torch.inference_mode():
         outputs = _run(network, np.stack(images))
         peaks = find_peaks(outputs.heat, min_score)
-        values = gather_around(outputs, peaks.image, peaks.cells, peaks.classes)
-        predicted = boxes3d(values, cameras, network.mean_sizes_m.cpu(), decode)
-        deviation = standard_deviations(values, predicted, cameras, decode)
+        read = gather_around if decode == "fitted" else gather
+        values = read(outputs, peaks.image, peaks.cells, peaks.classes)
+        boxes = boxes3d(values, cameras, network.mean_sizes_m.cpu(), decode)
+        kept = kept_peaks(peaks.image, boxes, boxes2d_px(values))
+        values, boxes = values[kept], boxes[kept]
+        sd = standard_deviations(values, boxes, cameras, decode)
         if decode == "fitted":
-            predicted, deviation = reconciled(values, predicted, deviation, cameras)
-        boxes2d = boxes2d_px(values).numpy()
-    boxes, sd, image, scores = predicted.numpy(), deviation.numpy(), peaks.image.numpy(), peaks.scores.double().numpy()
-    finite = np.isfinite(boxes).all(axis=1)
+            boxes, sd = reconciled(values, boxes, sd, cameras)
+    scores = peaks.scores[kept].double().numpy()
     for index, frame in enumerate(frames):
-        mine = np.flatnonzero((image == index) & finite)
-        mine = mine[distinct(boxes2d[mine])]
+        mine = np.flatnonzero(values.image.numpy() == index)
         yield Vehicles3D.of(
             frame.time_ns,
-            boxes[mine],
-            classes=peaks.classes.numpy()[mine],
+            boxes.numpy()[mine],
+            classes=values.classes.numpy()[mine],
             scores=scores[mine],
-            sd=sd[mine],
+            sd=sd.numpy()[mine],
             camera_id=frame.camera_id,
         )
+
+
+def kept_peaks(image: Tensor, boxes: Tensor, boxes2d: Tensor) -> Tensor:
+    """Indices of the peaks whose boxes (N, 7) are finite, and no duplicates of a better one in the same image (N,)."""
+    finite = boxes.isfinite().all(dim=1)
+    kept = []
+    for number in image.unique().tolist():
+        mine = ((image == number) & finite).nonzero()[:, 0]
+        kept.append(mine[torch.from_numpy(distinct(boxes2d[mine].numpy()))])
+    return torch.cat(kept) if kept else image
 
 
 def distinct(boxes: NDArray[np.float64]) -> NDArray[np.int64]:

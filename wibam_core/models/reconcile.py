@@ -12,7 +12,7 @@ import torch
 from torch import Tensor
 
 from wibam_core.bodies import TEMPLATES
-from wibam_core.geometry.torch_ops import CameraTensors, project
+from wibam_core.geometry.torch_ops import CameraTensors, project, vehicle_to_world
 from wibam_core.models.decode import (
     PeakValues,
     boxes2d_px,
@@ -27,7 +27,7 @@ from wibam_core.models.trunk import STRIDE
 
 #: Standard deviation of an edge of the regressed 2D box about the body's: px, and share of the box's side.
 _EDGE_SD_PX, _EDGE_SD_SHARE = 0.7, 0.03
-#: Stated headings are trusted this many times as much as they ask for: else the edges turn vehicles.
+#: Headings count as if they erred this many times less than they say: else the edges turn vehicles.
 _YAW_TRUST = 2.0
 #: An edge nearer to the image's border than this may have been cut by it, px.
 _BORDER_PX = 3.0
@@ -36,8 +36,10 @@ _HIDDEN_SHARE = 0.3
 #: Residuals beyond this many standard deviations count less and less.
 _ROBUST_SD = 3.0
 _STEPS = 2
-#: A box that would move farther than this over the ground stays where it was, m.
-_FARTHEST_M = 3.0
+#: A fit that leads farther leads nowhere: m over the ground, log of a size, rad.
+_FARTHEST_M, _FARTHEST_LOG_SIZE, _FARTHEST_RAD = 3.0, 0.5, 0.5
+#: Of a vehicle with a body point nearer than this along the optical axis, no edge is compared, m.
+_NEAREST_M = 0.5
 
 #: The parameters: x, y, log length, log width, log height, yaw; derivatives are differences over so much each way.
 _DELTAS = (0.05, 0.05, 0.01, 0.01, 0.01, 0.01)
@@ -50,10 +52,12 @@ def reconciled(values: PeakValues, boxes: Tensor, sd: Tensor, cameras: CameraTen
     """Boxes (N, 7) that agree best with all heads, and their standard deviations (N, 7).
 
     Args:
-        values: what the heads say, float64.
+        values: what the heads say, float64, without duplicates: they would count as what hides a vehicle.
         boxes: (N, 7) on the ground, where the fits start; one whose fit leads nowhere stays as it is.
         sd: (N, 7) their standard deviations, kept with them.
         cameras: (B,) of the batch, float64, at the network's input size.
+
+    All are on the CPU.
     """
     if not len(boxes):
         return boxes, sd
@@ -62,17 +66,23 @@ def reconciled(values: PeakValues, boxes: Tensor, sd: Tensor, cameras: CameraTen
     information = torch.empty(0)
     for _ in range(_STEPS):
         information, gradient = problem.normal_equations(parameters)
-        step, _ = torch.linalg.solve_ex(information, -gradient)
-        parameters = parameters + torch.where(step.isfinite().all(dim=1, keepdim=True), step.clamp(-1.0, 1.0), 0.0)
+        parameters = parameters - torch.linalg.solve_ex(information, gradient)[0]
     variance = torch.linalg.inv_ex(information)[0].diagonal(dim1=-2, dim2=-1)
-    size = parameters[:, 2:5].exp()
-    found = torch.cat([parameters[:, :2], size[:, 2:] / 2, size, wrap_angle(parameters[:, 5:])], dim=1)
-    own = variance.clamp_min(0.0).sqrt()
-    size_sd = size * own[:, 2:5]
-    found_sd = torch.cat([own[:, :2], size_sd[:, 2:] / 2, size_sd, own[:, 5:].clamp(max=torch.pi)], dim=1)
-    moved = torch.linalg.norm(found[:, :2] - boxes[:, :2], dim=1)
-    good = (moved <= _FARTHEST_M) & (variance > 0).all(dim=1) & found.isfinite().all(dim=1)
+    found, own = _boxes(parameters), variance.clamp_min(0.0).sqrt()
+    size_sd = found[:, 3:6] * own[:, 2:5]
+    yaw_sd = (_YAW_TRUST * own[:, 5:]).clamp(max=torch.pi)
+    found_sd = torch.cat([own[:, :2], size_sd[:, 2:] / 2, size_sd, yaw_sd], dim=1)
+    good = (variance > 0).all(dim=1) & found.isfinite().all(dim=1)
+    good &= torch.linalg.norm((found - boxes)[:, :2], dim=1) <= _FARTHEST_M
+    good &= (found / boxes)[:, 3:6].log().abs().amax(dim=1) <= _FARTHEST_LOG_SIZE
+    good &= wrap_angle(found[:, 6] - boxes[:, 6]).abs() <= _FARTHEST_RAD
     return torch.where(good[:, None], found, boxes), torch.where(good[:, None], found_sd, sd)
+
+
+def _boxes(parameters: Tensor) -> Tensor:
+    """Boxes (..., 7) of parameters (..., 6)."""
+    size = parameters[..., 2:5].exp()
+    return torch.cat([parameters[..., :2], size[..., 2:] / 2, size, wrap_angle(parameters[..., 5:])], dim=-1)
 
 
 class _Problem:
@@ -83,7 +93,9 @@ class _Problem:
         self._bodies = torch.tensor(TEMPLATES)[values.classes]
         edges = boxes2d_px(values)
         side = (edges[:, 2:] - edges[:, :2]).repeat(1, 2)
-        told = comparable_edges(edges, values.image, self._seen_by.size)
+        outline, depths = self._outline(boxes[:, None])
+        told = comparable_edges(edges, values.image, outline[:, 0], self._seen_by.size)
+        told &= (depths[:, 0].amin(dim=1) > _NEAREST_M)[:, None]
         # with a dimension for the guesses
         self._edges, self._edge_weight = edges[:, None], (told / (_EDGE_SD_PX + _EDGE_SD_SHARE * side))[:, None]
         self._footprint, self._centre = footprints_px(values)[:, None], centres3d_px(values)[:, None]
@@ -103,26 +115,18 @@ class _Problem:
         information = jacobian.transpose(1, 2) @ weighted + 1e-6 * torch.eye(len(_DELTAS), dtype=parameters.dtype)
         return information, (weighted.transpose(1, 2) @ residuals[..., None])[..., 0]
 
+    def _outline(self, boxes: Tensor) -> tuple[Tensor, Tensor]:
+        """Pixels (N, K, P, 2) and depths (N, K, P) of the points of the bodies of boxes (N, K, 7)."""
+        return project(self._seen_by, vehicle_to_world(boxes, self._bodies[:, None] * boxes[..., None, 3:6]))
+
     def _residuals(self, parameters: Tensor) -> Tensor:
         """(N, K, 13) of K guesses (N, K, 6) at the parameters of each vehicle."""
-        place, log_size, yaw = parameters[..., :2], parameters[..., 2:5], parameters[..., 5:]
-        size = log_size.exp()
-        local = self._bodies[:, None] * size[..., None, :]
-        cos, sin = torch.cos(yaw), torch.sin(yaw)
-        body = torch.stack(
-            [
-                place[..., :1] + cos * local[..., 0] - sin * local[..., 1],
-                place[..., 1:] + sin * local[..., 0] + cos * local[..., 1],
-                local[..., 2] + size[..., 2:] / 2,
-            ],
-            dim=-1,
-        )
-        footprint = torch.cat([place, torch.zeros_like(yaw)], dim=-1)
-        centre = torch.cat([place, size[..., 2:] / 2], dim=-1)
-        points = torch.cat([body, footprint[..., None, :], centre[..., None, :]], dim=-2)
-        pixels, depths = project(self._seen_by, points)
-        outline = pixels[..., :-2, :]
+        boxes, log_size, yaw = _boxes(parameters), parameters[..., 2:5], parameters[..., 5:]
+        outline, _ = self._outline(boxes)
         edges = torch.cat([outline.amin(dim=-2), outline.amax(dim=-2)], dim=-1)
+        centre = boxes[..., :3]
+        footprint = centre * torch.tensor([1.0, 1.0, 0.0], dtype=centre.dtype)
+        pixels, depths = project(self._seen_by, torch.stack([footprint, centre], dim=-2))
         log_depth = (depths[..., -1:].clamp_min(0.1) * REFERENCE_FOCAL_PX / self._focal_px).log()
         weight = self._weight
         return torch.cat(
@@ -138,13 +142,24 @@ class _Problem:
         )
 
 
-def comparable_edges(boxes: Tensor, image: Tensor, size_px: Tensor) -> Tensor:
+def comparable_edges(boxes: Tensor, image: Tensor, outline: Tensor, size_px: Tensor) -> Tensor:
     """(N, 4) which edges, left, top, right, bottom, of 2D boxes (N, 4) xyxy are the vehicle's own.
 
-    Others may be those of what hides it: the border of its image, ``size_px`` (N, 2), or a vehicle that stands nearer
-    in the same image (N,), which is one whose box reaches farther down.
+    Others may be those of what hides it: the border of its image, or a vehicle that stands nearer in the same image,
+    which is one whose box reaches farther down. Where the border cuts a vehicle, the point that makes another of its
+    edges may be out of the image, too.
+
+    Args:
+        boxes: px.
+        image: (N,) which image each is in.
+        outline: (N, P, 2) about where the points of its body are seen, px.
+        size_px: (N, 2) width and height of its image.
     """
     inside = torch.cat([boxes[:, :2] > _BORDER_PX, boxes[:, 2:] < size_px - 1 - _BORDER_PX], dim=1)
+    # the other coordinate of the point that makes each edge: y of left and right, x of top and bottom
+    makes = torch.cat([outline.argmin(dim=1), outline.argmax(dim=1)], dim=1)
+    across = outline[torch.arange(len(boxes))[:, None], makes, torch.tensor([1, 0, 1, 0])]
+    there = (across > -0.5) & (across < size_px.flip(-1).repeat(1, 2) - 0.5)
     nearer = (image[:, None] == image) & (boxes[:, 3] > boxes[:, None, 3] + 1.0)
     own, other = boxes[:, None], boxes[None]
     overlap = torch.minimum(own[..., 2:], other[..., 2:]) - torch.maximum(own[..., :2], other[..., :2])
@@ -155,4 +170,4 @@ def comparable_edges(boxes: Tensor, image: Tensor, size_px: Tensor) -> Tensor:
     )
     covered = within & (share.flip(-1) > _HIDDEN_SHARE)[..., None, :]
     hidden = (covered.flatten(-2) & nearer[..., None]).any(dim=1)
-    return inside & ~hidden
+    return inside & (there | inside.all(dim=1, keepdim=True)) & ~hidden

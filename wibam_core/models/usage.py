@@ -11,7 +11,7 @@ from types import MappingProxyType
 from wibam_core.errors import InvalidWeights
 from wibam_core.models.decode import Decode
 
-#: How the small network's boxes can be placed along the ray; first what a file means that does not say.
+#: How the small network's boxes can be placed; first what a file means that does not say.
 SMALL_DECODES: tuple[Decode, ...] = ("plane", "depth", "fused", "ground", "fitted")
 #: The same of CenterTrack's DLA-34, which states no uncertainties to fuse by.
 DLA34_DECODES: tuple[Decode, ...] = ("depth", "plane")
@@ -22,7 +22,7 @@ class Usage:
     """How boxes and standard deviations come out as they were trained and measured.
 
     Attributes:
-        decode: how boxes are placed along the ray.
+        decode: how boxes are placed.
         sd_factors: kind of number -> what its standard deviations are to be multiplied with; 1 for what is not named.
     """
 

@@ -39,7 +39,7 @@ def sd_factors(network: Monocular, dataset: SiteDataset, decode: Decode) -> SdFa
     Args:
         network: after training.
         dataset: only its validation part is looked at.
-        decode: how boxes are placed along the ray.
+        decode: how boxes are placed.
     """
     if not isinstance(network, SmallNetwork):
         return SdFactors()

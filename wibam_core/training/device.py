@@ -13,8 +13,8 @@ from wibam_core.errors import InvalidOption
 DeviceOption = Literal["auto", "cpu", "cuda"]
 
 
-def choose_device(option: DeviceOption) -> torch.device:
-    """The device that an option asks for; "auto" is CUDA where there is one.
+def choose_device(option: DeviceOption, name: str = "finetune.device") -> torch.device:
+    """The device that the option ``name`` asks for; "auto" is CUDA where there is one.
 
     Raises:
         InvalidOption: "cuda" on a machine without.
@@ -22,9 +22,9 @@ def choose_device(option: DeviceOption) -> torch.device:
     there = torch.cuda.is_available()
     if option == "cuda" and not there:
         raise InvalidOption(
-            "option finetune.device is 'cuda', but PyTorch sees no CUDA device here",
+            f"option {name} is 'cuda', but PyTorch sees no CUDA device here",
             hint="Set it to 'auto' or 'cpu', or install a PyTorch built for CUDA on a machine with an NVIDIA GPU.",
-            option="finetune.device",
+            option=name,
         )
     return torch.device("cuda" if there and option != "cpu" else "cpu")
 

@@ -124,6 +124,7 @@ def main() -> None:
     parser.add_argument("--zoom", type=float, nargs=2, default=(0.85, 1.8), help="of the trained against the rendered")
     parser.add_argument("--start", type=Path, help="weights to go on from; with --steps 0 they are only measured")
     arguments = parser.parse_args()
+    device = choose_device(arguments.device, "--device")
     torch.set_num_threads(arguments.threads)
     torch.manual_seed(arguments.seed)
     arguments.out.mkdir(parents=True, exist_ok=True)
@@ -153,7 +154,7 @@ def main() -> None:
 
     log_path = arguments.out / "log.jsonl"
     if arguments.steps == 0:
-        append_log(log_path, figures(network))
+        append_log(log_path, figures(network.to(device)))
         return
     draw = partial(augmented, zoom=(arguments.zoom[0], arguments.zoom[1]))
     pretrain(
@@ -164,7 +165,7 @@ def main() -> None:
         checkpoint,
         log_path,
         time.monotonic,
-        choose_device(arguments.device),
+        device,
     )
 
 

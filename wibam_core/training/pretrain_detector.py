@@ -122,6 +122,7 @@ def main() -> None:
     parser.add_argument("--out", type=Path, default=Path("build/pretrain_detector"), help="folder for weights and log")
     add_options(parser, steps=3000, images=1200)
     arguments = parser.parse_args()
+    device = choose_device(arguments.device, "--device")
     torch.set_num_threads(arguments.threads)
     torch.manual_seed(arguments.seed)
     arguments.out.mkdir(parents=True, exist_ok=True)
@@ -148,7 +149,7 @@ def main() -> None:
         checkpoint,
         arguments.out / "log.jsonl",
         time.monotonic,
-        choose_device(arguments.device),
+        device,
     )
 
 

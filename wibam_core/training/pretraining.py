@@ -22,6 +22,7 @@ from wibam_core.errors import NonFiniteLoss
 from wibam_core.geometry.camera import Camera
 from wibam_core.scene import Vehicles3D
 from wibam_core.synthetic.sampling import Regime, RenderedView, sample_views
+from wibam_core.training.device import Precision
 from wibam_core.training.targets import Targets, encode
 from wibam_core.training.views import LabelledView
 
@@ -233,6 +234,7 @@ def pretrain(
     network.train()
     averaged = AveragedWeights(network, 0.998)
     optimizer = torch.optim.AdamW(network.parameters(), lr=schedule.learning_rate, weight_decay=1e-3)
+    scaler = Precision.of(device).scaler()
     started = clock()
     recent: dict[str, float] = {}
     for step, batch in enumerate(data):
@@ -244,9 +246,11 @@ def pretrain(
         for group in optimizer.param_groups:
             group["lr"] = schedule.rate(step)
         optimizer.zero_grad(set_to_none=True)
-        parts["total"].backward()
+        scaler.scale(parts["total"]).backward()
+        scaler.unscale_(optimizer)
         nn.utils.clip_grad_norm_(network.parameters(), _GRADIENT_CLIP)
-        optimizer.step()
+        scaler.step(optimizer)
+        scaler.update()
         averaged.update(network)
         for name, value in values.items():
             recent[name] = 0.98 * recent.get(name, value) + 0.02 * value

@@ -7,9 +7,22 @@ import pytest
 import torch
 
 from tests.builders import look_at
-from wibam_core.models.inference import Frame, content_height_px, predict, prepare_camera, prepare_image
+from wibam_core.geometry.torch_ops import CameraTensors
+from wibam_core.models.decode import boxes3d, find_peaks, gather_around, standard_deviations
+from wibam_core.models.inference import (
+    Frame,
+    content_height_px,
+    kept_peaks,
+    predict,
+    prepare_camera,
+    prepare_image,
+    to_input,
+)
+from wibam_core.models.reconcile import reconciled
 from wibam_core.models.small import SmallNetwork, SmallOutputs
 from wibam_core.models.trunk import TrunkShape
+from wibam_core.models.weights import bundled, load_network
+from wibam_core.synthetic.sampling import sample_views
 
 TINY = TrunkShape(channels=(8, 8, 8, 8, 8), blocks=(0, 0, 0, 0), neck=8)
 
@@ -43,6 +56,32 @@ def test_every_frame_gets_one_answer_in_order_whatever_the_batches(network: Smal
         np.testing.assert_allclose(one.scores, two.scores, atol=1e-5)
         assert np.isfinite(one.sd).all()
         assert (np.diff(one.scores) <= 0).all()
+
+
+def test_fitted_boxes_agree_with_the_cells_about_their_peaks() -> None:
+    network = load_network(bundled("mono_small.safetensors"))
+    view = next(sample_views(990_000, "site", 1, (640, 384)))
+    one = Frame(view.image, view.camera, "cam", 0)
+    cameras = CameraTensors.from_cameras([prepare_camera(one.camera)], torch.float64)
+    (found,) = predict(network, [one], decode="fitted", min_score=0.2)
+    with torch.inference_mode():
+        outputs = network(to_input(prepare_image(one.image)[None]))
+        peaks = find_peaks(outputs.heat, 0.2)
+    kept = torch.from_numpy(np.isin(peaks.scores.double().numpy(), found.scores))
+    values = gather_around(outputs, peaks.image, peaks.cells, peaks.classes)[kept]
+    start = boxes3d(values, cameras, network.mean_sizes_m, "ground")
+    boxes, sd = reconciled(values, start, standard_deviations(values, start, cameras, "ground"), cameras)
+    np.testing.assert_allclose(found.boxes, boxes.numpy(), atol=1e-6)
+    np.testing.assert_allclose(found.sd, sd.numpy(), rtol=1e-6)
+    assert int((boxes != start).any(dim=1).sum()) > 2
+
+
+def test_duplicates_do_not_hide_the_vehicle_that_they_repeat() -> None:
+    boxes2d = torch.tensor([(100.0, 100.0, 200.0, 200.0), (100.0, 101.0, 200.0, 201.5), (0.0, 0.0, 9.0, 9.0)])
+    boxes = torch.ones(3, 7).double()
+    boxes[2, 0] = torch.nan
+    assert kept_peaks(torch.tensor([0, 0, 0]), boxes, boxes2d).tolist() == [0]
+    assert kept_peaks(torch.tensor([1, 0, 1]), boxes, boxes2d).tolist() == [1, 0]
 
 
 def test_the_camera_may_have_another_size_than_the_image(network: SmallNetwork) -> None:
