@@ -63,7 +63,6 @@ def reconciled(values: PeakValues, boxes: Tensor, sd: Tensor, cameras: CameraTen
         return boxes, sd
     problem = _Problem(values, boxes, cameras)
     parameters = torch.cat([boxes[:, :2], boxes[:, 3:6].log(), boxes[:, 6:]], dim=1)
-    information = torch.empty(0)
     for _ in range(_STEPS):
         information, gradient = problem.normal_equations(parameters)
         parameters = parameters - torch.linalg.solve_ex(information, gradient)[0]
