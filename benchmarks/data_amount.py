@@ -16,7 +16,7 @@ from collections.abc import Iterator, Sequence
 import numpy as np
 from matplotlib.figure import Figure
 
-from benchmarks.learning_options import command_of, made_rows, site_parser
+from benchmarks.learning_options import command_of, made_rows, recording_of, site_parser
 from benchmarks.learning_report import caveats, save, share_of_gain
 from benchmarks.learning_rows import Row, Run, mean_of
 from benchmarks.learning_sites import CHOSEN_ON, Figures, Site, figures, finetuned_on, untrained, views
@@ -44,8 +44,7 @@ def runs_of(arguments: argparse.Namespace) -> Iterator[Run]:
                     "site": number,
                     "seed": seed,
                     "share": share,
-                    "seconds": arguments.seconds,
-                    "density": arguments.density,
+                    **recording_of(arguments),
                     "finetune": {"seed": seed, "steps": arguments.steps},
                 }
 
@@ -195,7 +194,7 @@ def main() -> None:
         rows.append(made)
         about = {"run": made["run"], "minutes": made["minutes"], **{name: mean_of(made, name) for name in SHOWN}}
         print(about, flush=True)
-    typed = ("sites", "seeds", "shares", "seconds", "density", "steps")
+    typed = ("sites", "seeds", "shares", *recording_of(arguments), "steps")
     text = document(rows, command_of("data_amount", **{name: getattr(arguments, name) for name in typed}))
     (arguments.out / "data-amount.md").write_text(text, encoding="utf-8")
     save(curve_figure(rows), arguments.out / "data-amount.png")

@@ -13,7 +13,7 @@ Each network is measured on all frames of the held-out part of its site, as a jo
 (rows, each as soon as it is made: a killed run goes on where it was), ``learning.md`` and figures. Rows that other code
 made are made again, but with ``--keep``; ``--draw`` joins the rows of files and runs nothing.
 
-Run: python -m benchmarks.learning --sites 501 502 --seeds 0 --seconds 90 --steps 350 --out docs
+Run: python -m benchmarks.learning --sites 501 502 --seeds 0 --seconds 90 --steps 400 --out docs
 Short, about five minutes on two idle cores: python -m benchmarks.learning --short
 Full, with a CenterTrack network of yours, on a GPU where there is one:
 python -m benchmarks.learning --network network.safetensors --seconds 600 --steps 6000 --seeds 0 1 2
@@ -27,7 +27,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from benchmarks.learning_options import command_of, made_rows, site_parser
+from benchmarks.learning_options import command_of, made_rows, recording_of, site_parser
 from benchmarks.learning_report import document, draw, table
 from benchmarks.learning_rows import Row, Run, joined, read_rows, write_rows
 from benchmarks.learning_sites import (
@@ -65,7 +65,7 @@ TRAINED: Mapping[str, Mapping[str, Any]] = {
 METHODS = (*BASELINES, *TRAINED, "truth", "labels")
 #: How a network of the user's is named in commands that are written down; what a command's runs have in common.
 _OWN_NETWORK = "network.safetensors"
-_Common = tuple[float, float, str | None]
+_Common = tuple[float, float, int, str | None]
 DEFAULT_METHODS = (*BASELINES, "paper", "lifted", "truth", "labels")
 
 
@@ -80,8 +80,7 @@ def runs_of(arguments: argparse.Namespace) -> Iterator[Run]:
                     "site": number,
                     "seed": seed,
                     "method": method,
-                    "seconds": arguments.seconds,
-                    "density": arguments.density,
+                    **recording_of(arguments),
                     "finetune": options_of(method, seed, arguments.steps, custom=network is not None),
                     **own,
                 }
@@ -118,7 +117,8 @@ def commands_of(rows: Sequence[Row]) -> list[str]:
     """What to type for these rows: as few commands as there are kinds of runs."""
     places: dict[tuple[int, int, _Common], list[Run]] = {}
     for run in (row["run"] for row in rows):
-        common = (run["seconds"], run["density"], _OWN_NETWORK if "network" in run else None)
+        recording = (run["seconds"], run["density"], run["width_px"])
+        common = (*recording, _OWN_NETWORK if "network" in run else None)
         places.setdefault((run["site"], run["seed"], common), []).append(run)
     # what is run alike -> seed -> sites
     alike: dict[tuple[_Common, int | None, tuple[str, ...]], dict[int, list[int]]] = {}
@@ -129,10 +129,11 @@ def commands_of(rows: Sequence[Row]) -> list[str]:
             methods = tuple(sorted({run["method"] for run in mine}, key=_number))
             alike.setdefault((common, steps, methods), {}).setdefault(seed, []).append(site)
     commands = []
-    for ((seconds, density, network), steps, methods), sites_of in alike.items():
+    for ((seconds, density, width_px, network), steps, methods), sites_of in alike.items():
         for sites in dict.fromkeys(map(tuple, sites_of.values())):
             options: dict[str, Any] = {"sites": sites, "seeds": [s for s, of in sites_of.items() if tuple(of) == sites]}
-            options |= {"seconds": seconds, "density": density, "steps": steps, "methods": methods, "network": network}
+            options |= {"seconds": seconds, "density": density, "width_px": width_px, "steps": steps}
+            options |= {"methods": methods, "network": network}
             commands.append(command_of("learning", **options))
     return commands
 
@@ -155,7 +156,7 @@ def parse() -> argparse.Namespace:
     parser.add_argument(
         "--network", type=Path, metavar="FILE", help="fine-tune this DLA-34, as `wibam weights convert` writes it"
     )
-    parser.add_argument("--short", action="store_true", help="site 11, 40 s, 80 steps")
+    parser.add_argument("--short", action="store_true", help="site 11, 40 s at 640 px, 80 steps")
     parser.add_argument(
         "--draw",
         type=Path,
@@ -165,7 +166,8 @@ def parse() -> argparse.Namespace:
     )
     arguments = parser.parse_args()
     if arguments.short:
-        arguments.sites, arguments.seeds, arguments.seconds, arguments.steps = [11], [0], 40.0, 80
+        arguments.sites, arguments.seeds, arguments.seconds, arguments.width_px = [11], [0], 40.0, 640
+        arguments.steps = 80
     return arguments
 
 

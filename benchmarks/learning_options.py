@@ -18,11 +18,17 @@ def site_parser(description: str | None, *, sites: list[int], seconds: float) ->
     parser.add_argument("--sites", type=int, nargs="+", default=sites)
     parser.add_argument("--seconds", type=float, default=seconds)
     parser.add_argument("--density", type=float, default=1.2)
+    parser.add_argument("--width-px", type=int, default=1280, help="of the recordings, which are 16:9")
     parser.add_argument("--fresh", action="store_true", help="forget the rows that were made before")
     parser.add_argument("--keep", action="store_true", help="take rows that other versions of the code made, too")
     parser.add_argument("--cache", type=Path, default=Path("build/learning"))
     parser.add_argument("--out", type=Path, default=Path("build/learning"))
     return parser
+
+
+def recording_of(arguments: argparse.Namespace) -> dict[str, Any]:
+    """What is recorded at each site: length in s, density of the traffic, width of the images in px."""
+    return {"seconds": arguments.seconds, "density": arguments.density, "width_px": arguments.width_px}
 
 
 def made_rows(
@@ -36,7 +42,7 @@ def made_rows(
     @cache
     def site_of(number: int) -> Site:
         network = getattr(arguments, "network", None)
-        return make_site(number, arguments.seconds, arguments.density, arguments.cache, network)
+        return make_site(number, **recording_of(arguments), cache=arguments.cache, network=network)
 
     file = RowFile(arguments.out / f"{name}.json", fresh=arguments.fresh, keep=arguments.keep)
     return file.rows(runs, lambda run: figures(site_of(run["site"]), run))

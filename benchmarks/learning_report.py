@@ -46,7 +46,11 @@ def document(rows: Sequence[Row], command: str) -> str:
     """Markdown: the command (one or more lines), what was chosen on, and all tables."""
     sites = sorted({row["run"]["site"] for row in rows})
     seconds = " or ".join(f"{one:g}" for one in sorted({row["run"]["seconds"] for row in rows}))
-    about = f"Sites: {', '.join(map(str, sites))}; {seconds} s each. Means of the runs ± their standard deviation."
+    widths = " or ".join(f"{one}" for one in sorted({row["run"]["width_px"] for row in rows}))
+    about = (
+        f"Sites: {', '.join(map(str, sites))}; {seconds} s each, {widths} px wide. Means of the runs ± their standard "
+        "deviation."
+    )
     parts = [
         "# What fine-tuning gains",
         f"{about} {caveats(rows)}",

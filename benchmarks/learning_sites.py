@@ -32,6 +32,7 @@ from wibam_core.models.centertrack import predict_vehicles
 from wibam_core.models.decode import Decode
 from wibam_core.models.dla34 import DLA34
 from wibam_core.models.inference import predict
+from wibam_core.models.small import SmallNetwork
 from wibam_core.models.stored_frames import stored_frames
 from wibam_core.models.weights import Monocular, bundled, load_monocular
 from wibam_core.progress import silent
@@ -41,7 +42,7 @@ from wibam_core.stages.store import StageStore
 from wibam_core.synthetic.options import SimulationOptions
 from wibam_core.synthetic.recorder import record_site
 from wibam_core.training.calibration import sd_factors
-from wibam_core.training.dataset import SiteView, site_views
+from wibam_core.training.dataset import SiteView, site_views, usual_input_width_px
 from wibam_core.training.device import choose_device_to_detect
 from wibam_core.training.finetune import SiteDataset, finetune
 
@@ -95,6 +96,11 @@ class Site:
         """The weights that fine-tuning starts from: the site's own, or else the bundled ones."""
         return self.folder.assets.get("network", bundled("mono_small.safetensors"))
 
+    @property
+    def input_width_px(self) -> int:
+        """How wide networks see the images, as a job chooses it."""
+        return usual_input_width_px(self.frames, self.rig)
+
     @cached_property
     def test_frames(self) -> list[FrameSet]:
         times = set(self.split.times_ns["test"])
@@ -111,20 +117,23 @@ class Site:
         return [instant for instant in self.instants if instant.time_ns in times]
 
 
-def make_site(number: int, seconds: float, density: float, cache: Path, network: Path | None = None) -> Site:
+def make_site(
+    number: int, seconds: float, density: float, width_px: int, cache: Path, network: Path | None = None
+) -> Site:
     """Record, or take what was recorded before, and run the stages up to the fits.
 
     Args:
         number: of the site, the seed of its simulation.
         seconds: length of the recording.
         density: of the traffic.
+        width_px: of the images, which are 16:9.
         cache: where recordings and the stages' outputs are kept.
         network: what fine-tuning starts from instead of the bundled network, as `wibam weights convert` writes it.
     """
-    folder = cache / f"site-{number}-{seconds:g}s-{density:g}"
+    folder = cache / f"site-{number}-{seconds:g}s-{density:g}-{width_px}"
     if not (folder / "site.json").is_file():
-        options = SimulationOptions(seed=number, seconds=seconds, traffic_density=density, workers=2)
-        record_site(folder, options)
+        size = {"width_px": width_px, "height_px": width_px * 9 // 16}
+        record_site(folder, SimulationOptions(seed=number, seconds=seconds, traffic_density=density, workers=2, **size))
     site, store = SiteFolder.load(folder), StageStore(folder / "outputs")
     if network is not None:
         site = replace(site, assets={**site.assets, "network": network})
@@ -149,7 +158,10 @@ def site_of(number: int, folder: SiteFolder, store: StageStore, stages: Mapping[
 
 def untrained(site: Site, decode: Decode) -> Trained:
     """What fine-tuning starts from."""
-    return Trained(load_monocular(site.start), decode, SdFactors())
+    network = load_monocular(site.start)
+    if isinstance(network, SmallNetwork):
+        network.input_width_px = site.input_width_px
+    return Trained(network, decode, SdFactors())
 
 
 def finetuned_by_stage(site: Site, options: Mapping[str, Any]) -> Trained:
@@ -171,9 +183,10 @@ def finetuned_on(
     return Trained(network, config.decode, sd_factors(network, data, config.decode))
 
 
-def views(site: Site, part: str, lifts: Sequence[Vehicles3D]) -> list[SiteView]:
-    """The frames of a part of the split, labelled with ``lifts``."""
-    return site_views(site.of(part), site.frames, lifts, site.rig, site.split.left_out_tracks[part])
+def views(site: Site, part: str, lifts: Sequence[Vehicles3D], *, complete: bool = True) -> list[SiteView]:
+    """The frames of a part of the split, labelled with ``lifts``; ``complete``: as `site_views`."""
+    left_out = site.split.left_out_tracks[part]
+    return site_views(site.of(part), site.frames, lifts, site.rig, left_out, site.input_width_px, complete=complete)
 
 
 def true_lifts(site: Site) -> list[Vehicles3D]:

@@ -19,7 +19,7 @@ import cv2
 import numpy as np
 from matplotlib.figure import Figure
 
-from benchmarks.learning_options import command_of, made_rows, site_parser
+from benchmarks.learning_options import command_of, made_rows, recording_of, site_parser
 from benchmarks.learning_report import caveats, save
 from benchmarks.learning_rows import Row, Run, mean_of
 from benchmarks.learning_sites import CHOSEN_ON, Figures, Site, figures, finetuned_on, label_figures, views
@@ -112,8 +112,7 @@ def runs_of(arguments: argparse.Namespace) -> Iterator[Run]:
                         "kind": kind,
                         "amount": amount,
                         "draw": draw,
-                        "seconds": arguments.seconds,
-                        "density": arguments.density,
+                        **recording_of(arguments),
                         "finetune": {"steps": arguments.steps, "seed": 0} if arguments.train else None,
                     }
 
@@ -188,7 +187,8 @@ def main() -> None:
     for made in made_rows(arguments, "robustness", runs_of(arguments), row):
         rows.append(made)
         print({**made["run"], **{name: mean_of(made, name) for name in SHOWN}}, flush=True)
-    typed = ("sites", "draws", "poses_deg", "clocks_ms", "seconds", "density", "train", *(["steps"] * arguments.train))
+    typed = ["sites", "draws", "poses_deg", "clocks_ms", *recording_of(arguments), "train"]
+    typed += ["steps"] * arguments.train
     text = document(rows, command_of("robustness", **{name: getattr(arguments, name) for name in typed}))
     (arguments.out / "robustness.md").write_text(text, encoding="utf-8")
     save(curves_figure(rows), arguments.out / "robustness.png")

@@ -20,7 +20,7 @@ import numpy as np
 from matplotlib.figure import Figure
 from scipy import stats
 
-from benchmarks.learning_options import command_of, made_rows, site_parser
+from benchmarks.learning_options import command_of, made_rows, recording_of, site_parser
 from benchmarks.learning_report import caveats, save
 from benchmarks.learning_rows import Row, Run, mean_of
 from benchmarks.learning_sites import (
@@ -81,7 +81,8 @@ def made_by(site: Site, recipe: Recipe) -> Trained:
     """The network of a recipe."""
     if not recipe.steps:
         return untrained(site, recipe.decode)
-    train, validation = (views(site, part, site.lifts) for part in ("train", "val"))
+    complete = recipe.method != "paper"
+    train, validation = (views(site, part, site.lifts, complete=complete) for part in ("train", "val"))
     if recipe.frames is not None:
         train = train[:: max(1, len(train) // recipe.frames)][: recipe.frames]
     options: dict[str, Any] = {"steps": recipe.steps, "method": recipe.method, "decode": recipe.decode}
@@ -243,8 +244,7 @@ def runs_of(arguments: argparse.Namespace) -> Iterator[Run]:
     for number in arguments.sites:
         for name in arguments.networks:
             recipe = replace(RECIPES[name], steps=min(RECIPES[name].steps, arguments.most_steps))
-            about = {"site": number, "network": name, "seconds": arguments.seconds, "density": arguments.density}
-            yield {**about, "recipe": vars(recipe)}
+            yield {"site": number, "network": name, **recording_of(arguments), "recipe": vars(recipe)}
 
 
 def main() -> None:
@@ -256,7 +256,7 @@ def main() -> None:
     for made in made_rows(arguments, "self-consistency", runs_of(arguments), row):
         rows.append(made)
         print({**made["run"], **{name: mean_of(made, name) for name in (*MEASURES, *TRUTHS)}}, flush=True)
-    typed = ("sites", "networks", "most_steps", "seconds", "density")
+    typed = ("sites", "networks", "most_steps", *recording_of(arguments))
     text = document(rows, command_of("self_consistency", **{name: getattr(arguments, name) for name in typed}))
     (arguments.out / "self-consistency.md").write_text(text, encoding="utf-8")
     save(scatter_figure(rows), arguments.out / "self-consistency.png")

@@ -109,7 +109,15 @@ class FinetuneConfig(StageConfig):
     device: Literal["auto", "cpu", "cuda"] = Field(
         "auto", description="where to train; 'auto': on all CUDA devices that are visible, or else on the CPU"
     )
-    steps: int = Field(400, ge=1)
+    input_width_px: int | None = Field(
+        None,
+        ge=320,
+        le=1920,
+        multiple_of=32,
+        description="'small': how wide the network sees the images; unless given, as wide as they are stored, but at"
+        " least 640 and at most 960; a step takes as much longer as an image has more pixels",
+    )
+    steps: int = Field(600, ge=1)
     batch_size: int = Field(8, ge=1)
     learning_rate: float | None = Field(
         None,
@@ -138,6 +146,13 @@ class FinetuneConfig(StageConfig):
             raise _refusal(f"method 'paper' teaches no {lacks}, only 'plane' and 'depth' are possible")
         if lacks and info.data.get("network") == "custom":
             raise _refusal(f"network 'custom' has no {lacks}, only 'plane' and 'depth' are possible")
+        return value
+
+    @pydantic.field_validator("input_width_px")
+    @classmethod
+    def _can_be_chosen(cls, value: int | None, info: pydantic.ValidationInfo) -> int | None:
+        if value is not None and info.data.get("network") == "custom":
+            raise _refusal("network 'custom' sees images as CenterTrack does, 800 px at the longer side")
         return value
 
     @pydantic.field_validator(*_METHODS_WITH)

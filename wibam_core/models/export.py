@@ -15,9 +15,9 @@ from torch import Tensor, nn
 
 from wibam_core.models.detector2d import Detector2D, ExportedDetector2D
 from wibam_core.models.refiner2d import Refiner2D
-from wibam_core.models.small import INPUT_WIDTH_PX, REFERENCE_FOCAL_PX, UNCERTAINTY_GROUPS, SmallNetwork, SmallOutputs
+from wibam_core.models.small import REFERENCE_FOCAL_PX, UNCERTAINTY_GROUPS, SmallNetwork, SmallOutputs
 from wibam_core.models.trunk import INPUT_MULTIPLE, STRIDE
-from wibam_core.models.usage import Usage
+from wibam_core.models.usage import Usage, input_width_metadata
 from wibam_core.scene import CLASSES
 
 #: The small network's outputs in a file, named as the fields of `SmallOutputs`, and how many channels each has.
@@ -97,8 +97,8 @@ def small_onnx(network: SmallNetwork, usage: Usage | None = None) -> bytes:
 
     Input ``image`` (B, 3, H, W) float32, BGR in 0..1, H and W multiples of 32; B, H and W are dynamic. One output per
     field of `SmallOutputs`, with its name: float32 maps (B, C, H/4, W/4) as the heads give them, heat as logits.
-    Metadata: `small_metadata`, and ``mean_sizes_m``, the classes' mean lengths, widths and heights in m (JSON); where
-    ``usage`` is given, ``decode`` and ``sd_factors``, see `Usage`.
+    Metadata: `small_metadata`; ``input_width_px``, the width that images are resized to; ``mean_sizes_m``, the classes'
+    mean lengths, widths and heights in m (JSON); where ``usage`` is given, ``decode`` and ``sd_factors``, see `Usage`.
     """
     grid = {0: "batch", 2: "rows", 3: "columns"}
     return _onnx(
@@ -108,6 +108,7 @@ def small_onnx(network: SmallNetwork, usage: Usage | None = None) -> bytes:
         {"image": {0: "batch", 2: "height", 3: "width"}, **dict.fromkeys(SMALL_CHANNELS, grid)},
         {
             **small_metadata(),
+            **input_width_metadata(network.input_width_px),
             "mean_sizes_m": json.dumps(network.mean_sizes_m.tolist()),
             **({} if usage is None else usage.metadata()),
         },
@@ -117,14 +118,13 @@ def small_onnx(network: SmallNetwork, usage: Usage | None = None) -> bytes:
 def small_metadata() -> dict[str, str]:
     """What every ONNX file of the small network says about itself; lists are JSON.
 
-    ``input_width_px`` is the width that images are resized to. ``reference_focal_px`` is the focal length, at that
-    width, that the depths belong to. ``uncertainty_groups`` names the channels of ``log_scale``.
+    ``reference_focal_px`` is the focal length, in px of the resized image, that the depths belong to.
+    ``uncertainty_groups`` names the channels of ``log_scale``.
     """
     return {
         "family": _SMALL_FAMILY,
         "classes": _CLASSES,
         "stride": str(STRIDE),
-        "input_width_px": str(INPUT_WIDTH_PX),
         "reference_focal_px": str(REFERENCE_FOCAL_PX),
         "uncertainty_groups": json.dumps(UNCERTAINTY_GROUPS),
     }

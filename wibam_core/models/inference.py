@@ -47,25 +47,25 @@ class Frame:
             raise ValueError(f"a frame needs (H, W, 3) uint8, got {self.image.shape} {self.image.dtype}")
 
 
-def content_height_px(width_px: int, height_px: int) -> int:
+def content_height_px(width_px: int, height_px: int, input_width_px: int) -> int:
     """Height of an image of the given size once it is resized to the network's input width."""
-    return max(1, round(height_px * INPUT_WIDTH_PX / width_px))
+    return max(1, round(height_px * input_width_px / width_px))
 
 
-def prepare_image(image: NDArray[np.uint8]) -> NDArray[np.uint8]:
+def prepare_image(image: NDArray[np.uint8], input_width_px: int = INPUT_WIDTH_PX) -> NDArray[np.uint8]:
     """Resize (H, W, 3) to the input width and pad at the bottom, in black, to a multiple of 32 rows."""
-    height = content_height_px(image.shape[1], image.shape[0])
-    if image.shape[:2] != (height, INPUT_WIDTH_PX):
-        shrinks = image.shape[1] > INPUT_WIDTH_PX
+    height = content_height_px(image.shape[1], image.shape[0], input_width_px)
+    if image.shape[:2] != (height, input_width_px):
+        shrinks = image.shape[1] > input_width_px
         interpolation = cv2.INTER_AREA if shrinks else cv2.INTER_LINEAR
-        image = np.asarray(cv2.resize(image, (INPUT_WIDTH_PX, height), interpolation=interpolation), dtype=np.uint8)
+        image = np.asarray(cv2.resize(image, (input_width_px, height), interpolation=interpolation), dtype=np.uint8)
     padding = -height % INPUT_MULTIPLE
     return np.pad(image, ((0, padding), (0, 0), (0, 0))) if padding else image
 
 
-def prepare_camera(camera: Camera) -> Camera:
+def prepare_camera(camera: Camera, input_width_px: int = INPUT_WIDTH_PX) -> Camera:
     """The camera of the prepared image (its size is the content's, without the padding)."""
-    return camera.resized(INPUT_WIDTH_PX, content_height_px(camera.width_px, camera.height_px))
+    return camera.resized(input_width_px, content_height_px(camera.width_px, camera.height_px, input_width_px))
 
 
 def to_input(
@@ -91,7 +91,7 @@ def predict(
     """Detect vehicles: one `Vehicles3D` in the world per frame, in the frames' order.
 
     Args:
-        network: torch's is put into evaluation mode, and runs on its own device.
+        network: torch's is put into evaluation mode, and runs on its own device. It sees images at its input width.
         frames: consumed as needed, at most ``batch_size`` in memory.
         decode: how boxes are placed, see `wibam_core.models.decode.boxes3d` and `wibam_core.models.reconcile`.
         min_score: peaks below it are left out.
@@ -100,7 +100,7 @@ def predict(
     batch: list[Frame] = []
     images: list[NDArray[np.uint8]] = []
     for frame in frames:
-        image = prepare_image(frame.image)
+        image = prepare_image(frame.image, network.input_width_px)
         if batch and (len(batch) == batch_size or image.shape != images[0].shape):
             yield from _predict_batch(network, batch, images, decode, min_score)
             batch, images = [], []
@@ -122,7 +122,8 @@ def _run(network: RunnableNetwork, images: NDArray[np.uint8]) -> SmallOutputs:
 def _predict_batch(
     network: RunnableNetwork, frames: list[Frame], images: list[NDArray[np.uint8]], decode: Decode, min_score: float
 ) -> Iterator[Vehicles3D]:
-    cameras = CameraTensors.from_cameras([prepare_camera(frame.camera) for frame in frames], torch.float64)
+    prepared = [prepare_camera(frame.camera, network.input_width_px) for frame in frames]
+    cameras = CameraTensors.from_cameras(prepared, torch.float64)
     with torch.inference_mode():
         outputs = _run(network, np.stack(images))
         peaks = find_peaks(outputs.heat, min_score)

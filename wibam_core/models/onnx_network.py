@@ -13,7 +13,7 @@ from torch import Tensor
 from wibam_core.errors import InvalidWeights
 from wibam_core.models.export import SMALL_CHANNELS, small_metadata, small_onnx
 from wibam_core.models.small import SmallNetwork, SmallOutputs
-from wibam_core.models.usage import SMALL_DECODES, Usage
+from wibam_core.models.usage import SMALL_DECODES, Usage, read_input_width
 from wibam_core.scene import CLASSES
 
 _EXPECTED = "Give the ONNX file of a fine-tuned model as it was exported, or its safetensors file."
@@ -31,6 +31,7 @@ class OnnxNetwork:
 
     Attributes:
         mean_sizes_m: (4, 3) mean length, width, height per class, float32.
+        input_width_px: width that images are resized to before it sees them.
         usage: how the file says that it is to be used.
 
     Raises:
@@ -38,6 +39,7 @@ class OnnxNetwork:
     """
 
     mean_sizes_m: Tensor
+    input_width_px: int
     usage: Usage
 
     def __init__(self, content: bytes, source: str, threads: int | None = None) -> None:
@@ -54,6 +56,7 @@ class OnnxNetwork:
         _check_metadata(source, metadata)
         _check_ends(source, self._session)
         self.mean_sizes_m = _mean_sizes_m(source, metadata.get("mean_sizes_m", ""))
+        self.input_width_px = read_input_width(source, metadata)
         self.usage = Usage.of(source, metadata, SMALL_DECODES)
 
     @classmethod

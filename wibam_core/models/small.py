@@ -18,10 +18,10 @@ from torch import Tensor, nn
 from wibam_core.models.trunk import STRIDE, Trunk, TrunkShape, conv_block
 from wibam_core.scene import CLASSES
 
-#: Width of the images that the network sees, px.
+#: Width of the images that the network sees unless it is told otherwise, px.
 INPUT_WIDTH_PX = 640
 
-#: Depth is learned as if every camera had this focal length at `INPUT_WIDTH_PX`.
+#: Depth is learned as if every camera had this focal length, in px of the image that the network sees.
 REFERENCE_FOCAL_PX = 400.0
 
 #: Mean length, width and height per class, m, in the order of `CLASSES`.
@@ -75,9 +75,16 @@ _HEAD_BIASES = {
 
 
 class SmallNetwork(nn.Module):
-    """1.5 million parameters; images (B, 3, H, W), BGR in 0..1, to `SmallOutputs` at stride 4."""
+    """1.5 million parameters; images (B, 3, H, W), BGR in 0..1, to `SmallOutputs` at stride 4.
+
+    Attributes:
+        mean_sizes_m: (4, 3) mean length, width, height per class.
+        input_width_px: width that images are resized to before it sees them. It computes the same for any; a wider
+            image shows vehicles more exactly, and takes longer.
+    """
 
     mean_sizes_m: Tensor
+    input_width_px: int
 
     def __init__(self, shape: TrunkShape = SMALL_SHAPE) -> None:
         super().__init__()
@@ -85,6 +92,7 @@ class SmallNetwork(nn.Module):
         self.shared = conv_block(shape.neck, _HEAD_CHANNELS)
         self.heads = nn.ModuleDict({name: _head(biases) for name, biases in _HEAD_BIASES.items()})
         self.register_buffer("mean_sizes_m", torch.tensor(MEAN_SIZES_M))
+        self.input_width_px = INPUT_WIDTH_PX
 
     def forward(self, images: Tensor) -> SmallOutputs:
         features = self.shared(self.trunk(images)).float()

@@ -4,17 +4,24 @@ from __future__ import annotations
 
 import json
 import math
+import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from types import MappingProxyType
 
 from wibam_core.errors import InvalidWeights
 from wibam_core.models.decode import Decode
+from wibam_core.models.small import INPUT_WIDTH_PX
+from wibam_core.models.trunk import INPUT_MULTIPLE
 
 #: How the small network's boxes can be placed; first what a file means that does not say.
 SMALL_DECODES: tuple[Decode, ...] = ("plane", "depth", "fused", "ground", "fitted")
 #: The same of CenterTrack's DLA-34, which states no uncertainties to fuse by.
 DLA34_DECODES: tuple[Decode, ...] = ("depth", "plane")
+
+#: How a file says how wide the images are that its small network sees, and what can be said.
+_INPUT_WIDTH = "input_width_px"
+INPUT_WIDTHS_PX = range(320, 1920 + 1)
 
 
 @dataclass(frozen=True)
@@ -50,6 +57,28 @@ class Usage:
         if decode is None:
             raise InvalidWeights(f"{source}: decode is {said!r}, not one of {', '.join(decodes)}", field="decode")
         return cls(decode, _factors(source, metadata.get("sd_factors", "{}")))
+
+
+def input_width_metadata(input_width_px: int) -> dict[str, str]:
+    """As a file says how wide the images are that its small network sees."""
+    return {_INPUT_WIDTH: str(input_width_px)}
+
+
+def read_input_width(source: str, metadata: Mapping[str, str]) -> int:
+    """How wide the images are that a file's small network sees, px; `INPUT_WIDTH_PX` where it does not say.
+
+    Raises:
+        InvalidWeights: it says what cannot be.
+    """
+    said = metadata.get(_INPUT_WIDTH, str(INPUT_WIDTH_PX))
+    width = int(said) if re.fullmatch("[0-9]{1,5}", said) else 0
+    if width not in INPUT_WIDTHS_PX or width % INPUT_MULTIPLE:
+        raise InvalidWeights(
+            f"{source}: {_INPUT_WIDTH} is {said!r}, not a multiple of {INPUT_MULTIPLE} from {INPUT_WIDTHS_PX[0]} to "
+            f"{INPUT_WIDTHS_PX[-1]}",
+            field=_INPUT_WIDTH,
+        )
+    return width
 
 
 def _factors(source: str, text: str) -> Mapping[str, float]:

@@ -17,7 +17,7 @@ from wibam_core.errors import InvalidWeights
 from wibam_core.models.centertrack import NUSCENES_CLASSES
 from wibam_core.models.dla34 import DLA34
 from wibam_core.models.small import SmallNetwork
-from wibam_core.models.usage import DLA34_DECODES, SMALL_DECODES, Usage
+from wibam_core.models.usage import DLA34_DECODES, SMALL_DECODES, Usage, input_width_metadata, read_input_width
 from wibam_core.scene import CLASSES
 
 _FAMILY = "wibam-small"
@@ -56,7 +56,10 @@ def save_network(network: Monocular, path: Path, origin: Mapping[str, str] = Map
     """
     temporary = path.with_name(path.name + ".tmp")
     state = {name: value.detach().cpu().contiguous() for name, value in network.state_dict().items()}
-    said = centertrack_metadata() if isinstance(network, DLA34) else metadata()
+    if isinstance(network, DLA34):
+        said = centertrack_metadata()
+    else:
+        said = metadata() | input_width_metadata(network.input_width_px)
     save_file(state, str(temporary), metadata={**origin, **said})
     temporary.replace(path)
 
@@ -83,7 +86,9 @@ def load_network(path: Path) -> SmallNetwork:
         InvalidWeights: naming the first thing that does not fit.
     """
     _check_metadata(path, metadata())
-    return _loaded(SmallNetwork(), path)
+    network = _loaded(SmallNetwork(), path)
+    network.input_width_px = read_input_width(path.name, _read_metadata(path))
+    return network
 
 
 def load_centertrack(path: Path) -> DLA34:

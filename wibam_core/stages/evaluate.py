@@ -49,12 +49,19 @@ _KEPT_SCORE = 0.1
 
 @dataclass(frozen=True)
 class _Method:
-    """A detector under test: weights, how its boxes are placed, what its standard deviations are multiplied with."""
+    """A detector under test.
+
+    Attributes:
+        decode: how its boxes are placed.
+        factors: what its standard deviations are multiplied with.
+        input_width_px: how wide it sees images; None: as the weights say.
+    """
 
     name: str
     weights: Path
     decode: Decode
     factors: SdFactors
+    input_width_px: int | None = None
 
 
 def run(context: StageContext, config: EvaluateConfig) -> Summary:
@@ -77,9 +84,10 @@ def run(context: StageContext, config: EvaluateConfig) -> Summary:
     trained_on = curves.get("device", "auto")
     custom = curves.get("network") == "custom"
     start = context.assets["network"] if custom else bundled("mono_small.safetensors")
+    width_px = curves.get("input_width_px")  # the same images for all
     methods = (
-        _Method("baseline", start, "plane", as_learned),
-        _Method("baseline_depth", start, "depth", as_learned),
+        _Method("baseline", start, "plane", as_learned, width_px),
+        _Method("baseline_depth", start, "depth", as_learned, width_px),
         _Method("finetuned", finetune / "weights.safetensors", trained_decode(finetune), trained_factors(finetune)),
     )
     predictions: dict[str, list[Vehicles3D]] = {}
@@ -136,6 +144,7 @@ def _detect(
         network.to(choose_device_to_detect(trained_on))
         detected = predict_vehicles(network, frames, decode=method.decode, min_score=min_score)
     else:
+        network.input_width_px = method.input_width_px or network.input_width_px
         detected = predict(OnnxNetwork.of(network), frames, decode=method.decode, min_score=min_score)
     for vehicles in detected:
         found.append(method.factors.apply(vehicles))

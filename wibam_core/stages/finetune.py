@@ -19,7 +19,7 @@ from wibam_core.models.weights import bundled, load_centertrack, load_network, o
 from wibam_core.stages.base import StageContext, Summary
 from wibam_core.stages.graph import require_network
 from wibam_core.training.calibration import sd_factors
-from wibam_core.training.dataset import SiteView, site_views
+from wibam_core.training.dataset import SiteView, site_views, usual_input_width_px
 from wibam_core.training.device import choose_device
 from wibam_core.training.finetune import FinetuneResult, SiteDataset, finetune
 
@@ -28,10 +28,10 @@ def run(context: StageContext, config: FinetuneConfig) -> Summary:
     """Write ``weights.safetensors``, the small network as ``weights.onnx``, too, and ``curves.json``.
 
     The weights say themselves how boxes are to be placed and by how much their standard deviations err: see `Usage`.
-    ``curves.json`` is ``{"method", "decode", "network", "device", "kept", "kept_step", "warnings": [sentence],
-    "epochs": [{"step", "learning_rate", "train", "validation"}], "sd_factors"}``, where train and validation map the
-    parts of the loss and ``total`` to their means, and `SdFactors` says what the network's standard deviations are to
-    be multiplied with.
+    ``curves.json`` is ``{"method", "decode", "network", "input_width_px", "device", "kept", "kept_step", "warnings":
+    [sentence], "epochs": [{"step", "learning_rate", "train", "validation"}], "sd_factors"}``, where train and
+    validation map the parts of the loss and ``total`` to their means, `SdFactors` says what the network's standard
+    deviations are to be multiplied with, and ``input_width_px`` how wide a small network sees the images.
     """
     choose_device(config.device)  # before anything is read
     require_network(config, context.assets)
@@ -50,6 +50,7 @@ def run(context: StageContext, config: FinetuneConfig) -> Summary:
         "method": config.method,
         "decode": config.decode,
         "network": config.network,
+        "input_width_px": None if custom else dataset.input_width_px,
         "device": config.device,
         "kept": result.kept,
         "kept_step": result.kept_step,
@@ -68,10 +69,13 @@ def _dataset(context: StageContext, config: FinetuneConfig) -> tuple[SiteDataset
     lifts = read_vehicles3d(context.upstream["lift"] / "lifts.parquet")
     split = Split.from_json(json.loads((context.upstream["dataset"] / "split.json").read_text(encoding="utf-8")))
 
+    width_px = config.input_width_px or usual_input_width_px(frames, rig)
+    complete = config.method != "paper"  # which learns from detections alone
+
     def subset(name: str) -> list[SiteView]:
         times = set(split.times_ns[name])
         chosen = [instant for instant in instants if instant.time_ns in times]
-        return site_views(chosen, frames, lifts, rig, split.left_out_tracks[name])
+        return site_views(chosen, frames, lifts, rig, split.left_out_tracks[name], width_px, complete=complete)
 
     enough = training_sufficiency(config.method, instants, lifts, split)
     return SiteDataset(frames, rig, subset("train"), subset("val")), enough

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence, Set
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -15,6 +15,7 @@ from wibam_core.models.inference import prepare_camera, prepare_image
 from wibam_core.models.small import INPUT_WIDTH_PX
 from wibam_core.models.trunk import INPUT_MULTIPLE
 from wibam_core.scene import AnnotatedInstant, CameraRig, Detections2D, MultiViewVehicle, Vehicles3D
+from wibam_core.training.overlooked import overlooked
 from wibam_core.training.views import FloatArray, LabelledView
 
 #: Labels whose heading is less certain than this do not tell front from rear.
@@ -22,6 +23,9 @@ _FRONT_SD_RAD = 1.0
 
 #: A track's velocity is taken from instants at most this far apart.
 _VELOCITY_SPAN_NS = 2_000_000_000
+
+#: Unless options say otherwise, no image is seen wider: a step takes as much longer as it has more pixels.
+_WIDEST_INPUT_PX = 960
 
 _NO_IMAGE = np.zeros((0, 0, 3), np.uint8)
 
@@ -58,6 +62,9 @@ def site_views(
     lifts: Sequence[Vehicles3D],
     rig: CameraRig,
     left_out_tracks: frozenset[int] = frozenset(),
+    input_width_px: int = INPUT_WIDTH_PX,
+    *,
+    complete: bool = True,
 ) -> list[SiteView]:
     """Every frame of the instants, in order of time, then of the rig.
 
@@ -67,8 +74,10 @@ def site_views(
         lifts: fits in the world; ``ids`` are track ids, ``scores`` confidences.
         rig: cameras, of the recording's pixels.
         left_out_tracks: vehicles of another subset: they teach nothing, and finding them is not punished.
+        input_width_px: how wide the network sees the images.
+        complete: also label vehicles that were detected in other views alone (`wibam_core.training.overlooked`).
     """
-    prepared = {camera_id: prepare_camera(camera) for camera_id, camera in rig.items()}
+    prepared = {camera_id: prepare_camera(camera, input_width_px) for camera_id, camera in rig.items()}
     fits = _Fits(lifts)
     views: list[SiteView] = []
     for instant in sorted(instants, key=lambda one: one.time_ns):
@@ -91,9 +100,25 @@ def site_views(
                     **_labels3d(seen, instant.vehicles, fits, instant.time_ns),
                     ignored=ignored[camera_id],
                 )
+                if complete:
+                    found = {vehicle.track_id for vehicle in instant.vehicles if camera_id in vehicle.views}
+                    labels = _completed(labels, fits, instant.time_ns, seen.frame_time_ns, found, left_out_tracks)
                 others = _others(camera_id, instant.vehicles, boxes, tuple(rig))
                 views.append(SiteView(camera_id, instant.time_ns, labels, *others))
     return views
+
+
+def usual_input_width_px(frames: FrameStore, rig: CameraRig) -> int:
+    """How wide a site's images are best seen: as wide as they are stored, but not narrower than the network saw them
+    before, and not wider than `_WIDEST_INPUT_PX`."""
+    stored = max((frames.size(camera_id)[0] for camera_id in rig), default=INPUT_WIDTH_PX)
+    width = min(max(stored, INPUT_WIDTH_PX), _WIDEST_INPUT_PX)
+    return width - width % INPUT_MULTIPLE
+
+
+def input_width_of(views: Iterable[SiteView]) -> int:
+    """How wide the images of views of one site are seen; as usual where there is none."""
+    return next((view.labels.camera.width_px for view in views), INPUT_WIDTH_PX)
 
 
 def _set_aside(instant: AnnotatedInstant, tracks: frozenset[int]) -> tuple[AnnotatedInstant, dict[str, FloatArray]]:
@@ -130,11 +155,45 @@ def _labels3d(
         fit = fits.find(vehicle.track_id, time_ns)
         if row is None or fit is None:
             continue
-        boxes3d[row] = fit.box
-        boxes3d[row, :2] += fits.velocity_mps(vehicle.track_id, time_ns) * (seen.frame_time_ns - time_ns) * 1e-9
+        boxes3d[row] = fits.box_at(vehicle.track_id, time_ns, seen.frame_time_ns)
         confidence[row] = fit.confidence
         front_known[row] = not fit.yaw_sd_rad > _FRONT_SD_RAD
     return {"boxes3d": boxes3d, "confidence": confidence, "front_known": front_known}
+
+
+def _completed(
+    labels: LabelledView,
+    fits: _Fits,
+    time_ns: int,
+    exposed_ns: int,
+    found: Set[int],
+    left_out_tracks: frozenset[int],
+) -> LabelledView:
+    """The labels of a view, and what was overlooked in it: more vehicles, and more that is not judged.
+
+    ``found`` are the tracks that have a box in the view, but for those that are left out.
+    """
+    tracks = fits.tracks_at(time_ns)
+    if not tracks:
+        return labels
+    boxes3d = np.array([fits.box_at(track, time_ns, exposed_ns) for track in tracks])
+    its = [fits.of(track, time_ns) for track in tracks]
+    classes = np.array([fit.vehicle_class for fit in its], np.int64)
+    confidence = np.array([fit.confidence for fit in its])
+    known = np.concatenate([labels.boxes2d, labels.ignored])
+    missed = overlooked(labels.camera, boxes3d, classes, np.array([track in found for track in tracks]), known)
+    taught = np.array([tracks[row] not in left_out_tracks and confidence[row] > 0 for row in missed.rows], bool)
+    rows = missed.rows[taught]
+    front_known = np.array([not its[row].yaw_sd_rad > _FRONT_SD_RAD for row in rows], bool)
+    return replace(
+        labels,
+        boxes2d=np.concatenate([labels.boxes2d, missed.boxes2d[taught]]),
+        classes=np.concatenate([labels.classes, classes[rows]]),
+        boxes3d=np.concatenate([labels.boxes3d, boxes3d[rows]]),
+        confidence=np.concatenate([labels.confidence, confidence[rows]]),
+        front_known=np.concatenate([labels.front_known, front_known]),
+        ignored=np.concatenate([labels.ignored, missed.boxes2d[~taught], missed.unsure]),
+    )
 
 
 def _others(
@@ -158,6 +217,7 @@ def _others(
 @dataclass(frozen=True, eq=False)
 class _Fit:
     box: FloatArray
+    vehicle_class: int
     confidence: float
     yaw_sd_rad: float
 
@@ -167,15 +227,32 @@ class _Fits:
 
     def __init__(self, lifts: Sequence[Vehicles3D]) -> None:
         self._tracks: dict[int, dict[int, _Fit]] = {}
+        self._tracks_at: dict[int, list[int]] = {}
         for vehicles in sorted(lifts, key=lambda one: one.time_ns):
             for row, track in enumerate(vehicles.ids.tolist()):
-                fit = _Fit(vehicles.boxes[row], float(vehicles.scores[row]), float(vehicles.sd[row, 6]))
+                kind, score, yaw_sd = vehicles.classes[row], vehicles.scores[row], vehicles.sd[row, 6]
+                fit = _Fit(vehicles.boxes[row], int(kind), float(score), float(yaw_sd))
                 self._tracks.setdefault(track, {})[vehicles.time_ns] = fit
+                self._tracks_at.setdefault(vehicles.time_ns, []).append(track)
 
     def find(self, track: int, time_ns: int) -> _Fit | None:
         return self._tracks.get(track, {}).get(time_ns)
 
-    def velocity_mps(self, track: int, time_ns: int) -> FloatArray:
+    def of(self, track: int, time_ns: int) -> _Fit:
+        """Of a track that has one at the instant."""
+        return self._tracks[track][time_ns]
+
+    def tracks_at(self, time_ns: int) -> list[int]:
+        """The tracks that have a fit at the instant."""
+        return self._tracks_at.get(time_ns, [])
+
+    def box_at(self, track: int, time_ns: int, exposed_ns: int) -> FloatArray:
+        """(7,) the fit of the instant, moved to where the vehicle is when a frame is exposed."""
+        box = self.of(track, time_ns).box.copy()
+        box[:2] += self._velocity_mps(track, time_ns) * (exposed_ns - time_ns) * 1e-9
+        return box
+
+    def _velocity_mps(self, track: int, time_ns: int) -> FloatArray:
         """(2,) between the track's fits before and after the instant; 0 where it has no neighbour in time."""
         times = np.array(list(self._tracks[track]), dtype=np.int64)
         near = np.flatnonzero(np.abs(times - time_ns) <= _VELOCITY_SPAN_NS / 2)
@@ -202,7 +279,8 @@ class ImageCache:
         self._frames = frames
         height = max((view.labels.camera.height_px for view in views), default=INPUT_MULTIPLE)
         height += -height % INPUT_MULTIPLE
-        self._shape = (height, INPUT_WIDTH_PX, 3)
+        self._width_px = input_width_of(views)
+        self._shape = (height, self._width_px, 3)
         self._path = path
         self._first_byte = 0
         if len(views):
@@ -220,7 +298,7 @@ class ImageCache:
             if self._ready[number]:
                 file.readinto(image.data)
             else:
-                prepared = prepare_image(self._frames.image(view.camera_id, view.time_ns))
+                prepared = prepare_image(self._frames.image(view.camera_id, view.time_ns), self._width_px)
                 image[: len(prepared)] = prepared
                 file.write(image.data)
                 self._ready[number] = True

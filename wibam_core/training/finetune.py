@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import copy
+import itertools
 import math
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass, replace
@@ -17,12 +18,13 @@ from wibam_core.config import FinetuneConfig
 from wibam_core.errors import NoMultiViewVehicles, NonFiniteLoss, StageOutOfMemory, TooFewInstants
 from wibam_core.formats.framestore import FrameStore
 from wibam_core.geometry.camera import Camera
+from wibam_core.models.small import SmallNetwork
 from wibam_core.models.weights import Monocular
 from wibam_core.progress import Progress, silent
 from wibam_core.scene import CameraRig
 from wibam_core.training.augment import jitter_colour, mirror, shake
 from wibam_core.training.checkpoint import read_checkpoint, write_checkpoint
-from wibam_core.training.dataset import SiteView
+from wibam_core.training.dataset import SiteView, input_width_of
 from wibam_core.training.device import Precision, choose_device
 from wibam_core.training.distributed import Ranks, helpers, usable_devices
 from wibam_core.training.objectives import OtherCameras
@@ -59,6 +61,11 @@ class SiteDataset:
     rig: CameraRig
     train: Sequence[SiteView]
     validation: Sequence[SiteView]
+
+    @property
+    def input_width_px(self) -> int:
+        """How wide the network sees the images."""
+        return input_width_of(itertools.chain(self.train, self.validation))
 
 
 @dataclass(frozen=True)
@@ -119,6 +126,8 @@ def finetune_on(
 ) -> FinetuneResult:
     """As `finetune`, by so many processes with a device each; the batch size is a multiple of their number."""
     _check(dataset, config)
+    if isinstance(network, SmallNetwork):
+        network.input_width_px = dataset.input_width_px
     scratch.mkdir(parents=True, exist_ok=True)
     if devices == 1:
         alone = Ranks(0, 1, precision.device)
@@ -198,7 +207,7 @@ class _Training:
         own.mkdir(exist_ok=True)
         self._train_view = self._trainable.reader(own / "train.npy", self._train, dataset.frames)
         self._validation_view = self._trainable.reader(own / "validation.npy", self._validation, dataset.frames)
-        self._others = OtherCameras(dataset.rig, config.own_view)
+        self._others = OtherCameras(dataset.rig, config.own_view, dataset.input_width_px)
         self._schedule = _schedule(config, self._trainable)
         self._optimizer = torch.optim.AdamW(self._network.parameters(), lr=1.0, weight_decay=_WEIGHT_DECAY)
         self._scaler = self._precision.scaler()

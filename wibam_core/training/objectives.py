@@ -14,7 +14,7 @@ from wibam_core.config import FinetuneConfig
 from wibam_core.geometry.torch_ops import CameraTensors
 from wibam_core.models.decode import Decode, boxes3d, gather
 from wibam_core.models.inference import prepare_camera
-from wibam_core.models.small import SmallOutputs
+from wibam_core.models.small import INPUT_WIDTH_PX, SmallOutputs
 from wibam_core.scene import CameraRig
 from wibam_core.training.augment import mirror_camera
 from wibam_core.training.dataset import SiteView
@@ -118,10 +118,11 @@ class OtherCameras:
         rig: cameras, of the recording's pixels.
         own_view: whether the view that a box is predicted in counts as one of the views that it must fit, as in the
             published code. It does so for the vehicles that another view sees too.
+        input_width_px: how wide the network sees the images.
     """
 
-    def __init__(self, rig: CameraRig, own_view: bool = False) -> None:
-        prepared = [prepare_camera(camera) for camera in rig.values()]
+    def __init__(self, rig: CameraRig, own_view: bool = False, input_width_px: int = INPUT_WIDTH_PX) -> None:
+        prepared = [prepare_camera(camera, input_width_px) for camera in rig.values()]
         self._own_view = own_view
         self._number_of = {camera_id: number for number, camera_id in enumerate(rig)}
         self._widths = np.array([camera.width_px for camera in prepared])

@@ -14,13 +14,14 @@ from torch import Tensor
 from wibam_core.geometry.camera import Camera
 from wibam_core.geometry.torch_ops import CameraTensors
 from wibam_core.models.decode import TAUGHT_CELLS
-from wibam_core.models.small import MEAN_SIZES_M, REFERENCE_FOCAL_PX
+from wibam_core.models.small import INPUT_WIDTH_PX, MEAN_SIZES_M, REFERENCE_FOCAL_PX
 from wibam_core.models.trunk import STRIDE
 from wibam_core.scene import CLASSES
 from wibam_core.training.views import FloatArray, LabelledView
 
 #: A projected 3D centre farther than this from the 2D box's centre belongs to a truncated vehicle, whose visible part
-#: does not tell where its centre is; left in, such vehicles dominate the loss.
+#: does not tell where its centre is; left in, such vehicles dominate the loss. In images wider than `INPUT_WIDTH_PX` it
+#: may be as many times farther.
 MAX_CENTRE_OFFSET_CELLS = 14.0
 
 #: Standard deviation of a heat peak, as a share of the 2D box's side (Liu et al. 2020, TTFNet: 0.54 / 6).
@@ -146,7 +147,8 @@ def _lifted_values(
     known &= np.minimum(depth, ground_depth) > 0.5
     uv, ground = (np.where(known[:, None], pixels, 0.0) for pixels in (uv, ground))
     centre3d, footprint = (((pixels + 0.5) / STRIDE - 0.5)[vehicle] for pixels in (uv, ground))
-    known_cell = known[vehicle] & (np.abs(centre3d - centre).max(axis=1, initial=0) <= MAX_CENTRE_OFFSET_CELLS)
+    farthest = MAX_CENTRE_OFFSET_CELLS * max(1.0, view.camera.width_px / INPUT_WIDTH_PX)
+    known_cell = known[vehicle] & (np.abs(centre3d - centre).max(axis=1, initial=0) <= farthest)
     rays = view.camera.rays(uv)
     alpha = boxes[:, 6] - np.arctan2(rays[:, 1], rays[:, 0])
     virtual_depth = np.where(known, depth, 1.0) * REFERENCE_FOCAL_PX / _focal_px(view.camera)

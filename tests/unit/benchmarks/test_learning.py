@@ -19,7 +19,9 @@ from wibam_core.config import FinetuneConfig
 
 def arguments(**changed: Any) -> argparse.Namespace:
     options = {"sites": [11, 31], "seeds": [0, 1], "methods": ["baseline", "lifted"], "steps": 5, "seconds": 9.0}
-    return argparse.Namespace(**{**options, "density": 1.0, "shares": [0.5, 1.0], "network": None, **changed})
+    return argparse.Namespace(
+        **{**options, "density": 1.0, "width_px": 640, "shares": [0.5, 1.0], "network": None, **changed}
+    )
 
 
 def figures(bev: float, difference: float = 0.1) -> dict[str, Any]:
@@ -45,7 +47,10 @@ def figures(bev: float, difference: float = 0.1) -> dict[str, Any]:
 def rows() -> list[dict[str, Any]]:
     of = {"baseline": 0.4, "lifted": 0.6, "truth": 0.8}
     return [
-        {"run": {"site": site, "seed": 0, "method": method, "seconds": 90.0}, **figures(bev + site / 100)}
+        {
+            "run": {"site": site, "seed": 0, "method": method, "seconds": 90.0, "width_px": 640},
+            **figures(bev + site / 100),
+        }
         for site in (1, 2)
         for method, bev in of.items()
     ]
@@ -126,7 +131,8 @@ def test_the_document_says_when_the_code_changed_between_rows() -> None:
 
 def run_of(site: int, method: str, seed: int = 0, steps: int = 5) -> dict[str, Any]:
     finetune = learning.options_of(method, seed, steps)
-    return {"site": site, "seed": seed, "method": method, "seconds": 120.0, "density": 1.2, "finetune": finetune}
+    recording = {"seconds": 120.0, "density": 1.2, "width_px": 640}
+    return {"site": site, "seed": seed, "method": method, **recording, "finetune": finetune}
 
 
 def test_commands_make_the_rows_that_they_stand_for(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -134,8 +140,8 @@ def test_commands_make_the_rows_that_they_stand_for(monkeypatch: pytest.MonkeyPa
     runs += [run_of(501, "lifted", seed=1), run_of(503, "labels")]
     commands = learning.commands_of([{"run": run} for run in runs])
     assert commands[0] == (
-        "python -m benchmarks.learning --sites 501 502 --seeds 0 --seconds 120 --density 1.2 --steps 5 "
-        "--methods baseline lifted"
+        "python -m benchmarks.learning --sites 501 502 --seeds 0 --seconds 120 --density 1.2 --width-px 640 "
+        "--steps 5 --methods baseline lifted"
     )
     assert len(commands) == 3 and "--steps" not in commands[-1]
     typed = []
@@ -227,7 +233,10 @@ def test_ratios_are_taken_run_by_run() -> None:
 
 
 def test_verdicts_count_significant_runs() -> None:
-    some = [*rows(), {"run": {"site": 3, "seed": 0, "method": "lifted", "seconds": 90.0}, **figures(0.3, -0.1)}]
+    some = [
+        *rows(),
+        {"run": {"site": 3, "seed": 0, "method": "lifted", "seconds": 90.0, "width_px": 640}, **figures(0.3, -0.1)},
+    ]
     assert "| lifted | 3 | 2 | 1 | 0 |" in verdicts(some).splitlines()
     assert not any(line.startswith("| baseline") for line in verdicts(some).splitlines())
 

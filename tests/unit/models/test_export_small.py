@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 import json
 from dataclasses import fields
 from pathlib import Path
@@ -157,6 +158,34 @@ def test_the_file_says_how_it_is_to_be_used(exported: Path, tmp_path: Path) -> N
     assert OnnxNetwork.load(tmp_path / "weights.onnx").usage == usage
 
 
+@pytest.mark.parametrize("width_px", ["0", "1000", "4096", "-640", "٦٤٠", "wide", ""])
+def test_a_width_that_cannot_be_is_refused(exported: Path, tmp_path: Path, width_px: str) -> None:
+    model = onnx.load(str(exported))
+    (entry,) = (entry for entry in model.metadata_props if entry.key == "input_width_px")
+    entry.value = width_px
+    onnx.save(model, str(tmp_path / "changed.onnx"))
+    with pytest.raises(InvalidWeights, match="not a multiple of 32 from 320 to 1920"):
+        OnnxNetwork.load(tmp_path / "changed.onnx")
+
+
+def test_a_file_sees_images_as_wide_as_its_network(tmp_path: Path, trained: SmallNetwork, frames: list[Frame]) -> None:
+    """The same frame at another width: other boxes, the same from torch and from the file."""
+    trained = copy.deepcopy(trained)
+    found = {}
+    for width_px in (640, 960):
+        trained.input_width_px = width_px
+        export_small(trained, tmp_path / "weights.onnx")
+        exported = OnnxNetwork.load(tmp_path / "weights.onnx")
+        assert exported.input_width_px == width_px
+        (ours,), (theirs,) = (
+            list(predict(network, frames[:1], decode="plane", min_score=0.2)) for network in (trained, exported)
+        )
+        assert len(ours) > 0
+        np.testing.assert_allclose(ours.boxes, theirs.boxes, atol=1e-2)
+        found[width_px] = ours
+    assert len(found[640]) != len(found[960]) or not np.allclose(found[640].boxes, found[960].boxes, atol=1e-2)
+
+
 def test_a_network_in_training_stays_in_training_and_is_written_for_evaluation(tmp_path: Path) -> None:
     network = random_network().train()
     before = {name: values.clone() for name, values in network.state_dict().items()}
@@ -199,7 +228,6 @@ def test_files_of_another_kind_are_refused(tmp_path: Path) -> None:
     [
         ("classes", '["car"]'),
         ("stride", "8"),
-        ("input_width_px", "1"),
         ("reference_focal_px", "1.0"),
         ("uncertainty_groups", "[]"),
         ("mean_sizes_m", "[[4.5, 1.8, 1.5]]"),

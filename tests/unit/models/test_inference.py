@@ -133,15 +133,17 @@ def test_images_are_scaled_to_the_width_and_padded_below() -> None:
     assert odd.shape == (320, 640, 3)
     assert (odd[:301] == 200).all()
     assert (odd[301:] == 0).all()
-    assert content_height_px(1920, 1080) == 360
+    assert prepare_image(image, 960).shape == (544, 960, 3)
+    assert content_height_px(1920, 1080, 640) == 360
 
 
-def test_the_prepared_camera_sees_where_the_prepared_image_shows() -> None:
+@pytest.mark.parametrize("input_width_px", [640, 960])
+def test_the_prepared_camera_sees_where_the_prepared_image_shows(input_width_px: int) -> None:
     camera = look_at((20, 0, 7), focal_px=1500.0, width_px=1920, height_px=1080)
     point = np.array([2.0, 1.0, 0.0])
     uv, _ = camera.project(point)
-    scaled, _ = prepare_camera(camera).project(point)
-    np.testing.assert_allclose(scaled, (uv + 0.5) * 640 / 1920 - 0.5)
+    scaled, _ = prepare_camera(camera, input_width_px).project(point)
+    np.testing.assert_allclose(scaled, (uv + 0.5) * input_width_px / 1920 - 0.5)
 
 
 def test_frames_refuse_other_images() -> None:

@@ -2,12 +2,14 @@ from pathlib import Path
 
 import pytest
 import torch
+from pydantic import ValidationError
 from safetensors.torch import load_file, save_file
 
+from wibam_core.config import FinetuneConfig
 from wibam_core.errors import InvalidWeights
 from wibam_core.models.dla34 import DLA34
-from wibam_core.models.small import SmallNetwork
-from wibam_core.models.usage import Usage
+from wibam_core.models.small import INPUT_WIDTH_PX, SmallNetwork
+from wibam_core.models.usage import INPUT_WIDTHS_PX, Usage, input_width_metadata, read_input_width
 from wibam_core.models.weights import bundled, centertrack_metadata, load_network, metadata, save_network, usage_of
 
 
@@ -86,6 +88,28 @@ def test_a_file_says_how_it_is_to_be_used(tmp_path: Path, usage: Usage) -> None:
     save_network(SmallNetwork(), tmp_path / "network.safetensors", usage.metadata())
     assert usage_of(tmp_path / "network.safetensors") == usage
     load_network(tmp_path / "network.safetensors")
+
+
+def test_a_file_says_how_wide_its_network_sees_images(saved: Path, tmp_path: Path) -> None:
+    network = SmallNetwork()
+    network.input_width_px = 960
+    save_network(network, tmp_path / "network.safetensors", {"input_width_px": "320"})
+    assert load_network(tmp_path / "network.safetensors").input_width_px == 960
+    assert load_network(bundled("mono_small.safetensors")).input_width_px == INPUT_WIDTH_PX  # it does not say
+    save_file(load_file(str(saved)), str(tmp_path / "odd.safetensors"), metadata=metadata() | {"input_width_px": "650"})
+    with pytest.raises(InvalidWeights, match="input_width_px is '650', not a multiple of 32"):
+        load_network(tmp_path / "odd.safetensors")
+
+
+def test_files_and_options_know_the_same_widths() -> None:
+    for width_px in (INPUT_WIDTHS_PX[0], INPUT_WIDTHS_PX[-1]):
+        said = input_width_metadata(width_px)
+        assert FinetuneConfig(input_width_px=width_px).input_width_px == read_input_width("file", said) == width_px
+    for width_px in (INPUT_WIDTHS_PX[0] - 32, INPUT_WIDTHS_PX[-1] + 32, 650):
+        with pytest.raises(ValidationError):
+            FinetuneConfig(input_width_px=width_px)
+        with pytest.raises(InvalidWeights):
+            read_input_width("file", input_width_metadata(width_px))
 
 
 def test_what_a_file_does_not_say_is_its_familys_usual_way(saved: Path, tmp_path: Path) -> None:

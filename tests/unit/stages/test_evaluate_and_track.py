@@ -118,6 +118,24 @@ def test_frames_are_compared_with_labels_at_the_time_they_were_exposed(context: 
     assert 0.8 < metrics["self_consistency"]["finetuned"]["other_views"]["mean"] < 1
 
 
+def test_the_baseline_sees_images_as_wide_as_the_fine_tuned_network(
+    context: StageContext, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    seen = []
+
+    def watched(network: Any, frames: Iterable[Frame], **options: Any) -> Iterator[Vehicles3D]:
+        seen.append(network.input_width_px)
+        return oracle(network, frames, **options)
+
+    monkeypatch.setattr(evaluate, "predict", watched)
+    network = SmallNetwork()
+    network.input_width_px = 960
+    save_network(network, context.upstream["finetune"] / "weights.safetensors")
+    (context.upstream["finetune"] / "curves.json").write_text(json.dumps({"decode": "plane", "input_width_px": 960}))
+    evaluate.run(context, EvaluateConfig())
+    assert seen == [960] * 3
+
+
 def test_standard_deviations_are_multiplied_as_the_validation_part_says(
     context: StageContext, monkeypatch: pytest.MonkeyPatch
 ) -> None:

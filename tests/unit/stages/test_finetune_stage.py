@@ -42,6 +42,14 @@ def context_of(folder: Path) -> StageContext:
     return StageContext(site_of(tiny_rig()), {}, {}, upstream, folder / "output", folder / "scratch", silent)
 
 
+def test_a_network_sees_images_as_wide_as_the_options_say(tmp_path: Path) -> None:
+    context = context_of(tmp_path)
+    finetune.run(context, FinetuneConfig(steps=1, batch_size=1, input_width_px=320))
+    assert load_network(context.output / "weights.safetensors").input_width_px == 320
+    assert OnnxNetwork.load(context.output / "weights.onnx").input_width_px == 320
+    assert json.loads((context.output / "curves.json").read_text())["input_width_px"] == 320
+
+
 def test_writes_weights_and_curves(tmp_path: Path) -> None:
     torch.set_num_threads(1)
     context = context_of(tmp_path)
@@ -55,6 +63,7 @@ def test_writes_weights_and_curves(tmp_path: Path) -> None:
     torch.testing.assert_close(vars(found), vars(expected), atol=1e-3, rtol=0)
     curves = json.loads((context.output / "curves.json").read_text())
     assert curves["decode"] == "fitted"
+    assert curves["input_width_px"] == network.input_width_px == 640
     said = Usage("fitted", curves["sd_factors"])
     assert said.sd_factors.keys() == {"position", "z", "size", "yaw"}
     assert usage_of(context.output / "weights.safetensors") == said

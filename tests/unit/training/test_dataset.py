@@ -1,16 +1,21 @@
 """Labels of site frames: in the right pixels, at the right moment, of the right vehicle."""
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 
+from tests.builders import look_at
 from tests.site_dataset import LATENESS_NS, PERIOD_NS, TinySite, boxes_at, tiny_site
+from wibam_core.detection.boxes import pairwise_iou
+from wibam_core.formats.framestore import FrameStore, FrameStoreWriter
 from wibam_core.geometry.box3d import corners
 from wibam_core.models.inference import prepare_image
 from wibam_core.models.small import INPUT_WIDTH_PX
 from wibam_core.models.trunk import INPUT_MULTIPLE
-from wibam_core.training.dataset import ImageCache, site_views
+from wibam_core.scene import AnnotatedInstant, CameraRig
+from wibam_core.training.dataset import ImageCache, input_width_of, site_views, usual_input_width_px
 
 
 @pytest.fixture(scope="module")
@@ -27,6 +32,33 @@ def test_3d_labels_project_into_the_2d_boxes_of_the_moment_of_exposure(site: Tin
         np.testing.assert_allclose(view.labels.boxes2d, tight, atol=1e-6)
         when = view.time_ns + LATENESS_NS[view.camera_id]
         np.testing.assert_allclose(view.labels.boxes3d, boxes_at(when), atol=1e-9)
+
+
+def test_labels_are_as_wide_as_the_network_sees_the_images(site: TinySite, tmp_path: Path) -> None:
+    usual, wide = (site_views(site.instants, site.frames, site.lifts, site.rig, input_width_px=w) for w in (640, 960))
+    assert input_width_of(wide) == 960 and input_width_of([]) == INPUT_WIDTH_PX
+    for small, large in zip(usual, wide, strict=True):
+        np.testing.assert_allclose(large.labels.boxes2d + 0.5, (small.labels.boxes2d + 0.5) * 1.5)
+        np.testing.assert_allclose(large.other_boxes + 0.5, (small.other_boxes + 0.5) * 1.5)
+        np.testing.assert_array_equal(large.labels.boxes3d, small.labels.boxes3d)
+    image = ImageCache(tmp_path / "images.npy", wide, site.frames).view(3).image
+    assert image.shape == (256, 960, 3)
+    prepared = prepare_image(site.frames.image(wide[3].camera_id, wide[3].time_ns), 960)
+    np.testing.assert_array_equal(image[: len(prepared)], prepared)
+
+
+@pytest.mark.parametrize(
+    ("stored_px", "seen_px"), [((320, 480), 640), ((640, 720), 704), ((960, 640), 960), ((1920,), 960)]
+)
+def test_images_are_seen_as_wide_as_they_are_stored_within_limits(
+    tmp_path: Path, stored_px: tuple[int, ...], seen_px: int
+) -> None:
+    cameras = {f"cam{k}": look_at((20.0, k, 6.0), width_px=1920, height_px=480) for k in range(len(stored_px))}
+    with FrameStoreWriter(tmp_path, 90) as writer:
+        for camera_id, width in zip(cameras, stored_px, strict=True):
+            writer.add(camera_id, 0, 0, np.zeros((width // 4, width, 3), np.uint8))
+        writer.close()
+    assert usual_input_width_px(FrameStore(tmp_path), CameraRig(cameras)) == seen_px
 
 
 def test_confidence_and_unknown_fronts_come_from_the_fits(site: TinySite) -> None:
@@ -57,6 +89,44 @@ def test_vehicles_of_another_subset_are_ignored_and_those_not_fitted_keep_their_
     assert np.isnan(view.labels.boxes3d).all()
     assert view.other_vehicle.tolist() == [0, 0]
     np.testing.assert_allclose(view.other_boxes, whole.other_boxes[whole.other_vehicle == 1])
+
+
+def without_detections(instant: AnnotatedInstant, camera_id: str, row: int) -> AnnotatedInstant:
+    """The instant, had the camera not found its vehicle of this row."""
+    kept = np.arange(len(instant.detections[camera_id])) != row
+    detections = {**instant.detections, camera_id: instant.detections[camera_id].where(kept)}
+    vehicles = []
+    for vehicle in instant.vehicles:
+        views = {name: its - (name == camera_id and its > row) for name, its in vehicle.views.items()}
+        if vehicle.views[camera_id] == row:
+            del views[camera_id]
+        vehicles.append(replace(vehicle, views=views))
+    return replace(instant, detections=detections, vehicles=tuple(vehicles))
+
+
+def test_what_one_camera_overlooked_is_labelled_by_the_fits(site: TinySite) -> None:
+    instants = [without_detections(instant, "east", 0) for instant in site.instants]
+    whole = site_views(site.instants, site.frames, site.lifts, site.rig)
+    for before, view in zip(whole, site_views(instants, site.frames, site.lifts, site.rig), strict=True):
+        order = [1, 0] if view.camera_id == "east" else [0, 1]  # it comes after what was found
+        np.testing.assert_allclose(view.labels.boxes3d, before.labels.boxes3d[order], atol=1e-9)
+        np.testing.assert_array_equal(view.labels.classes, before.labels.classes[order])
+        np.testing.assert_array_equal(view.labels.confidence, before.labels.confidence[order])
+        np.testing.assert_array_equal(view.labels.front_known, before.labels.front_known[order])
+        assert pairwise_iou(view.labels.boxes2d, before.labels.boxes2d[order]).diagonal().min() > 0.7
+        assert len(view.labels.ignored) == 0
+        if view.camera_id == "east":
+            assert set(view.other_vehicle.tolist()) == {0}  # the published loss knows vehicles by detections alone
+
+
+def test_what_was_overlooked_of_another_subset_is_not_judged(site: TinySite) -> None:
+    instants = [without_detections(instant, "east", 0) for instant in site.instants]
+    found = site_views(instants, site.frames, site.lifts, site.rig)[1]
+    view = site_views(instants, site.frames, site.lifts, site.rig, frozenset({7}))[1]
+    assert view.labels.classes.tolist() == [1]
+    np.testing.assert_allclose(view.labels.ignored, found.labels.boxes2d[1:])
+    alone = site_views(instants, site.frames, site.lifts, site.rig, frozenset({7}), complete=False)[1]
+    assert len(alone.labels.classes) == 1 and len(alone.labels.ignored) == 0
 
 
 def test_one_instant_alone_has_no_velocity(site: TinySite) -> None:

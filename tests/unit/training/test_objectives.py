@@ -262,6 +262,11 @@ def test_a_box_that_is_not_finite_is_not_passed_over() -> None:
         ({"method": "paper", "decode": "fused"}, r"finetune\.decode: method 'paper' teaches no uncertainties"),
         ({"method": "paper", "decode": "ground"}, r"finetune\.decode: method 'paper' teaches no footprints"),
         ({"method": "paper", "decode": "fitted"}, r"finetune\.decode: method 'paper' teaches no footprints"),
+        (
+            {"network": "custom", "input_width_px": 640},
+            r"finetune\.input_width_px: network 'custom' sees images as Cent",
+        ),
+        ({"input_width_px": 650}, r"finetune\.input_width_px"),
         ({"multiview_weight": 0.2}, r"finetune\.multiview_weight: it does nothing with method 'lifted'"),
         ({"method": "paper", "multiview_weight": 0.2}, r"finetune\.multiview_weight: .* only with 'combined'"),
     ],

@@ -8,7 +8,7 @@ import torch
 
 from tests.labelled_views import VEHICLES, camera, view_of
 from wibam_core.models.decode import Decode, PeakValues, boxes2d_px, boxes3d, find_peaks
-from wibam_core.models.small import MEAN_SIZES_M
+from wibam_core.models.small import INPUT_WIDTH_PX, MEAN_SIZES_M
 from wibam_core.training.augment import mirror
 from wibam_core.training.targets import Targets, encode
 
@@ -85,6 +85,21 @@ def test_unlabelled_and_truncated_vehicles_teach_no_3d_values() -> None:
     assert (targets.lifted == 0).all()
     assert torch.isfinite(targets.centre3d).all()
     assert targets.heat.max() == 1.0
+
+
+def test_vehicles_count_as_truncated_at_the_same_places_in_wider_images() -> None:
+    """A 2D box so far from the projected centre teaches at both widths, and a little farther at neither."""
+    cam = camera()
+    wide = cam.resized(2 * INPUT_WIDTH_PX, 2 * cam.height_px * INPUT_WIDTH_PX // cam.width_px)
+    cam = cam.resized(INPUT_WIDTH_PX, wide.height_px // 2)
+    for cells, taught in ((13, 1), (15, 0)):
+        for seen_by, scale in ((cam, 1), (wide, 2)):
+            view = view_of(VEHICLES[:1], seen_by)
+            middle = view.camera.project(VEHICLES[0, :3])[0]
+            half = (view.boxes2d[:, 2:] - view.boxes2d[:, :2]) / 2
+            at = middle + [4 * scale * cells, 0.0]
+            targets = encode([replace(view, boxes2d=np.concatenate([at - half, at + half], axis=1))])
+            assert (targets.lifted == taught).all() and len(targets.lifted)
 
 
 def test_ignored_regions_are_not_judged_but_peaks_in_them_are() -> None:

@@ -1,0 +1,88 @@
+"""Vehicles that a view must show, since other views do, though nothing was detected there.
+
+Detectors overlook what the border of the image cuts, and what is close. Left alone, such vehicles would be taught as
+background, and the fine-tuned network would not find them either.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from wibam_core.bodies import TEMPLATES
+from wibam_core.detection.boxes import pairwise_iou
+from wibam_core.geometry.box3d import vehicle_to_world
+from wibam_core.geometry.camera import Camera
+from wibam_core.training.views import FloatArray
+
+#: Of a vehicle with a body point nearer than this along the optical axis, nothing is said, m.
+_NEAREST_M = 0.5
+#: Less of a vehicle within the image, or narrower or lower boxes, teach nothing: share of its box, px.
+_LEAST_SHARE, _LEAST_PX = 0.3, 8.0
+#: A vehicle of whose box the nearer ones cover more than this share may be hidden.
+_HIDDEN_SHARE = 0.3
+#: A box found nearer than this IoU to a vehicle may be its own, though no one linked it.
+_SAME_IOU = 0.3
+
+
+@dataclass(frozen=True, eq=False)
+class Overlooked:
+    """Which of M vehicles a view shows without a box of their own.
+
+    Attributes:
+        rows: (K,) of the vehicles that are surely seen. boxes2d: (K, 4) xyxy, px: theirs, within the image.
+        unsure: (U, 4) xyxy, px: boxes of vehicles that may be hidden, or be seen too little of.
+    """
+
+    rows: NDArray[np.int64]
+    boxes2d: FloatArray
+    unsure: FloatArray
+
+
+def overlooked(
+    camera: Camera, vehicles: FloatArray, classes: NDArray[np.int64], found: NDArray[np.bool_], boxes2d: FloatArray
+) -> Overlooked:
+    """What was overlooked in a view.
+
+    Args:
+        camera: of the view.
+        vehicles: (M, 7) boxes of all vehicles about, in the world, when the frame is exposed.
+        classes: (M,) indices into `CLASSES`.
+        found: (M,) whether the view has a 2D box that is known to be the vehicle's.
+        boxes2d: (N, 4) xyxy, px: all 2D boxes of the view.
+    """
+    points = vehicle_to_world(vehicles, TEMPLATES[classes] * vehicles[:, None, 3:6])
+    pixels, depths = camera.project(points)
+    ahead = depths.min(axis=1, initial=np.inf) > _NEAREST_M
+    pixels = np.where(ahead[:, None, None], pixels, 0.0)
+    whole = np.concatenate([pixels.min(axis=1), pixels.max(axis=1)], axis=1)
+    size = np.array([camera.width_px, camera.height_px] * 2)
+    shown = np.clip(whole, -0.5, size - 0.5)
+    in_image = ahead & (_sides(shown).min(axis=1, initial=np.inf) > 0)
+    own = pairwise_iou(shown, boxes2d).max(axis=1, initial=0.0) > _SAME_IOU
+    missing = in_image & ~found & ~own
+    clear = _areas(shown) >= _LEAST_SHARE * _areas(whole)
+    clear &= _sides(shown).min(axis=1, initial=np.inf) >= _LEAST_PX
+    clear &= _covered(shown, depths.mean(axis=1), in_image) <= _HIDDEN_SHARE
+    rows = np.flatnonzero(missing & clear)
+    return Overlooked(rows, shown[rows], shown[missing & ~clear])
+
+
+def _sides(boxes: FloatArray) -> FloatArray:
+    """(..., 2) width and height of boxes (..., 4)."""
+    return boxes[..., 2:] - boxes[..., :2]
+
+
+def _areas(boxes: FloatArray) -> FloatArray:
+    return np.asarray(np.clip(_sides(boxes), 0, None).prod(axis=-1))
+
+
+def _covered(boxes: FloatArray, depth_m: FloatArray, seen: NDArray[np.bool_]) -> FloatArray:
+    """(M,) largest share of each box (M, 4) that the box of one nearer vehicle covers."""
+    low = np.maximum(boxes[:, None, :2], boxes[None, :, :2])
+    high = np.minimum(boxes[:, None, 2:], boxes[None, :, 2:])
+    shared = np.clip(high - low, 0, None).prod(axis=-1) * (depth_m[None] < depth_m[:, None]) * seen[None]
+    share: FloatArray = shared.max(axis=1, initial=0.0) / np.maximum(_areas(boxes), 1e-9)
+    return share
