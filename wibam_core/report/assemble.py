@@ -236,6 +236,8 @@ def _training(finetune: Path, lift: Path) -> Training:
         ("weights kept", f"{_KEPT.get(curves.kept, curves.kept)} (step {curves.kept_step})"),
         ("multi-view fits", f"{lifts.kept} of {lifts.fits} good enough to train on, of {lifts.tracks} vehicles"),
     ]
+    if curves.input_width_px is not None:
+        facts.insert(2, ("images as the network sees them", f"{curves.input_width_px} px wide"))
     if lifts.residual is not None:
         facts.append(("median residual of the fits", f"{lifts.residual.p50:.3f} (mean 1 − GIoU over the views)"))
     parts = tuple(_curve(name.replace("_", " "), steps, [e.train for e in curves.epochs], name) for name in names)

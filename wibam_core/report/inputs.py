@@ -292,6 +292,7 @@ class Curves(_File):
 
     method: str
     decode: str
+    input_width_px: int | None = None
     kept: str
     kept_step: int
     epochs: list[Epoch]

@@ -42,6 +42,7 @@ def test_everything_is_read(data):
     assert [row.name for row in data.dataset.subsets] == ["train", "val", "test"]
     assert [curve.name for curve in data.training.totals] == ["training", "validation"]
     assert {curve.name for curve in data.training.parts} == {"heatmap", "size"}
+    assert ("images as the network sees them", "704 px wide") in data.training.facts
     assert len(data.tracks) == 6 and data.conflict_thresholds["ttc_s"] == 3.0
     assert [(row.title, row.seconds) for row in data.stages] == [("Synchronise", 1.5), ("Fine-tune", 1.5)]
     assert ("evaluate.min_score", "0.3") in data.options

@@ -175,7 +175,7 @@ def _write_learning(folders: dict[str, Path]) -> None:
         Epoch(50 * k, 1e-3, {"heatmap": 1 / k, "size": 0.5 / k, "total": 1.5 / k}, {"total": 1.7 / k})
         for k in (1, 2, 3)
     ]
-    curves = {"method": "lifted", "decode": "plane", "kept": "last", "kept_step": 150}
+    curves = {"method": "lifted", "decode": "plane", "input_width_px": 704, "kept": "last", "kept_step": 150}
     _json(folders["finetune"] / "curves.json", curves | {"epochs": [asdict(epoch) for epoch in epochs]})
 
 
