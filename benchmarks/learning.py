@@ -13,7 +13,7 @@ Each network is measured on all frames of the held-out part of its site, as a jo
 (rows, each as soon as it is made: a killed run goes on where it was), ``learning.md`` and figures. Rows that other code
 made are made again, but with ``--keep``; ``--draw`` joins the rows of files and runs nothing.
 
-Run: python -m benchmarks.learning --sites 501 502 --seeds 0 --seconds 90 --steps 400 --out docs
+Run: python -m benchmarks.learning --sites 501 502 --seeds 0 --seconds 240 --steps 600 --out docs
 Short, about five minutes on two idle cores: python -m benchmarks.learning --short
 Full, with a CenterTrack network of yours, on a GPU where there is one:
 python -m benchmarks.learning --network network.safetensors --seconds 600 --steps 6000 --seeds 0 1 2
@@ -29,7 +29,7 @@ from typing import Any
 
 from benchmarks.learning_options import command_of, made_rows, recording_of, site_parser
 from benchmarks.learning_report import document, draw, table
-from benchmarks.learning_rows import Row, Run, joined, read_rows, write_rows
+from benchmarks.learning_rows import Row, Run, joined, read_rows, width_px_of, write_rows
 from benchmarks.learning_sites import (
     CHOSEN_ON,
     Figures,
@@ -117,7 +117,7 @@ def commands_of(rows: Sequence[Row]) -> list[str]:
     """What to type for these rows: as few commands as there are kinds of runs."""
     places: dict[tuple[int, int, _Common], list[Run]] = {}
     for run in (row["run"] for row in rows):
-        recording = (run["seconds"], run["density"], run["width_px"])
+        recording = (run["seconds"], run["density"], width_px_of(run))
         common = (*recording, _OWN_NETWORK if "network" in run else None)
         places.setdefault((run["site"], run["seed"], common), []).append(run)
     # what is run alike -> seed -> sites

@@ -11,7 +11,7 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from benchmarks.learning_rows import Row, mean_of, versions
+from benchmarks.learning_rows import Row, mean_of, versions, width_px_of
 from benchmarks.learning_sites import CHOSEN_ON
 from wibam_core.evaluation.metrics import METRICS
 from wibam_core.report.results import PUBLISHED
@@ -46,7 +46,7 @@ def document(rows: Sequence[Row], command: str) -> str:
     """Markdown: the command (one or more lines), what was chosen on, and all tables."""
     sites = sorted({row["run"]["site"] for row in rows})
     seconds = " or ".join(f"{one:g}" for one in sorted({row["run"]["seconds"] for row in rows}))
-    widths = " or ".join(f"{one}" for one in sorted({row["run"]["width_px"] for row in rows}))
+    widths = " or ".join(map(str, sorted({width_px_of(row["run"]) for row in rows})))
     about = (
         f"Sites: {', '.join(map(str, sites))}; {seconds} s each, {widths} px wide. Means of the runs ± their standard "
         "deviation."

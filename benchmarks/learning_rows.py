@@ -86,6 +86,12 @@ def joined(paths: Iterable[Path]) -> list[Row]:
     return found
 
 
+def width_px_of(run: Run) -> int:
+    """How wide the recordings of a run are, px; old rows do not say: theirs had 640."""
+    width: int = run.get("width_px", 640)
+    return width
+
+
 def versions(rows: Sequence[Row]) -> str:
     """A sentence where rows were made by several versions of the code, else empty."""
     counts = Counter(row.get("code", "not recorded") for row in rows)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -73,3 +73,16 @@ def tiny_site(folder: Path, instants: int = 4) -> TinySite:
             )
         writer.close()
     return TinySite(rig, FrameStore(folder), annotated, lifts)
+
+
+def without_detection(instant: AnnotatedInstant, camera_id: str, row: int) -> AnnotatedInstant:
+    """The instant, had the camera not found its vehicle of this row."""
+    kept = np.arange(len(instant.detections[camera_id])) != row
+    detections = {**instant.detections, camera_id: instant.detections[camera_id].where(kept)}
+    vehicles = []
+    for vehicle in instant.vehicles:
+        views = {name: its - (name == camera_id and its > row) for name, its in vehicle.views.items()}
+        if vehicle.views[camera_id] == row:
+            del views[camera_id]
+        vehicles.append(replace(vehicle, views=views))
+    return replace(instant, detections=detections, vehicles=tuple(vehicles))

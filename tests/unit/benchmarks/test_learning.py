@@ -173,7 +173,8 @@ def test_runs_of_a_users_network_know_it_by_its_content(tmp_path: Path, monkeypa
 
 
 def test_rows_of_files_are_drawn_without_running_anything(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    lifted = {"run": run_of(501, "lifted"), **figures(0.6)}  # as rows were that did not say which code made them
+    lifted = {"run": run_of(501, "lifted"), **figures(0.6)}  # as rows were that did not say which code made them,
+    del lifted["run"]["width_px"]  # nor how wide the recordings were
     write_rows(tmp_path / "a.json", [lifted, {"run": run_of(501, "baseline"), "code": "x", **figures(0.4)}])
     write_rows(tmp_path / "b.json", [{**lifted, "bev_iou": None}, {"run": run_of(502, "lifted"), **figures(0.7)}])
     inputs = [str(tmp_path / name) for name in ("a.json", "b.json")]
@@ -188,6 +189,7 @@ def test_rows_of_files_are_drawn_without_running_anything(tmp_path: Path, monkey
     assert written[1] == lifted
     text = (tmp_path / "out" / "learning.md").read_text()
     assert "    python -m benchmarks.learning --sites 501 --seeds 0 --seconds 120" in text
+    assert "--width-px 640" in text and "120 s each, 640 px wide" in text
     assert "| lifted | plane | 2 | 0.650" in text and "x (1), not recorded (2)" in text
     assert (tmp_path / "out" / "learning.png").is_file()
     (tmp_path / "b.json").write_text('[{"site": 501}]')

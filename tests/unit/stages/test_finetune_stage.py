@@ -8,18 +8,20 @@ import pytest
 import torch
 
 from tests.builders import site_of
-from tests.site_dataset import tiny_rig, tiny_site
+from tests.site_dataset import tiny_rig, tiny_site, without_detection
 from wibam_core.config import FinetuneConfig
 from wibam_core.dataset.split import Split
-from wibam_core.formats.annotations import write_annotations
+from wibam_core.formats.annotations import read_annotations, write_annotations
 from wibam_core.formats.rig import write_rig
 from wibam_core.formats.vehicles3d import write_vehicles3d
 from wibam_core.models.onnx_network import OnnxNetwork
 from wibam_core.models.usage import Usage
 from wibam_core.models.weights import load_network, usage_of
 from wibam_core.progress import silent
+from wibam_core.scene import CameraRig
 from wibam_core.stages import finetune
 from wibam_core.stages.base import StageContext
+from wibam_core.training.objectives import OtherCameras
 
 
 def context_of(folder: Path) -> StageContext:
@@ -48,6 +50,30 @@ def test_a_network_sees_images_as_wide_as_the_options_say(tmp_path: Path) -> Non
     assert load_network(context.output / "weights.safetensors").input_width_px == 320
     assert OnnxNetwork.load(context.output / "weights.onnx").input_width_px == 320
     assert json.loads((context.output / "curves.json").read_text())["input_width_px"] == 320
+
+
+def test_what_one_camera_overlooked_is_learned_from_but_not_by_the_published_method(tmp_path: Path) -> None:
+    context = context_of(tmp_path)
+    path = context.upstream["associate"] / "annotations.parquet"
+    write_annotations(path, [without_detection(instant, "east", 0) for instant in read_annotations(path)])
+    for method, boxes in (("lifted", 6), ("paper", 4)):
+        again = replace(context, output=tmp_path / method, scratch=tmp_path / f"{method}-scratch")
+        again.output.mkdir()
+        config = FinetuneConfig(steps=1, batch_size=1, input_width_px=320, method=method)
+        assert finetune.run(again, config)["boxes_2d"] == boxes
+
+
+def test_the_other_views_are_as_wide_as_the_images(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    widths = []
+
+    class Watched(OtherCameras):
+        def __init__(self, rig: CameraRig, own_view: bool, input_width_px: int) -> None:
+            super().__init__(rig, own_view, input_width_px)
+            widths.extend(self.of([], []).cameras.size[:, 0].tolist())
+
+    monkeypatch.setattr("wibam_core.training.finetune.OtherCameras", Watched)
+    finetune.run(context_of(tmp_path), FinetuneConfig(steps=1, batch_size=1, input_width_px=320, method="paper"))
+    assert widths == [320] * 6  # three cameras, and the same mirrored
 
 
 def test_writes_weights_and_curves(tmp_path: Path) -> None:

@@ -1,20 +1,19 @@
 """Labels of site frames: in the right pixels, at the right moment, of the right vehicle."""
 
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 from tests.builders import look_at
-from tests.site_dataset import LATENESS_NS, PERIOD_NS, TinySite, boxes_at, tiny_site
+from tests.site_dataset import LATENESS_NS, PERIOD_NS, TinySite, boxes_at, tiny_site, without_detection
 from wibam_core.detection.boxes import pairwise_iou
 from wibam_core.formats.framestore import FrameStore, FrameStoreWriter
 from wibam_core.geometry.box3d import corners
 from wibam_core.models.inference import prepare_image
 from wibam_core.models.small import INPUT_WIDTH_PX
 from wibam_core.models.trunk import INPUT_MULTIPLE
-from wibam_core.scene import AnnotatedInstant, CameraRig
+from wibam_core.scene import CameraRig
 from wibam_core.training.dataset import ImageCache, input_width_of, site_views, usual_input_width_px
 
 
@@ -91,21 +90,8 @@ def test_vehicles_of_another_subset_are_ignored_and_those_not_fitted_keep_their_
     np.testing.assert_allclose(view.other_boxes, whole.other_boxes[whole.other_vehicle == 1])
 
 
-def without_detections(instant: AnnotatedInstant, camera_id: str, row: int) -> AnnotatedInstant:
-    """The instant, had the camera not found its vehicle of this row."""
-    kept = np.arange(len(instant.detections[camera_id])) != row
-    detections = {**instant.detections, camera_id: instant.detections[camera_id].where(kept)}
-    vehicles = []
-    for vehicle in instant.vehicles:
-        views = {name: its - (name == camera_id and its > row) for name, its in vehicle.views.items()}
-        if vehicle.views[camera_id] == row:
-            del views[camera_id]
-        vehicles.append(replace(vehicle, views=views))
-    return replace(instant, detections=detections, vehicles=tuple(vehicles))
-
-
 def test_what_one_camera_overlooked_is_labelled_by_the_fits(site: TinySite) -> None:
-    instants = [without_detections(instant, "east", 0) for instant in site.instants]
+    instants = [without_detection(instant, "east", 0) for instant in site.instants]
     whole = site_views(site.instants, site.frames, site.lifts, site.rig)
     for before, view in zip(whole, site_views(instants, site.frames, site.lifts, site.rig), strict=True):
         order = [1, 0] if view.camera_id == "east" else [0, 1]  # it comes after what was found
@@ -120,7 +106,7 @@ def test_what_one_camera_overlooked_is_labelled_by_the_fits(site: TinySite) -> N
 
 
 def test_what_was_overlooked_of_another_subset_is_not_judged(site: TinySite) -> None:
-    instants = [without_detections(instant, "east", 0) for instant in site.instants]
+    instants = [without_detection(instant, "east", 0) for instant in site.instants]
     found = site_views(instants, site.frames, site.lifts, site.rig)[1]
     view = site_views(instants, site.frames, site.lifts, site.rig, frozenset({7}))[1]
     assert view.labels.classes.tolist() == [1]
