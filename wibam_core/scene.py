@@ -7,7 +7,7 @@ world is metres with Z up and the ground at Z = 0. Boxes in 2D are xyxy.
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from enum import StrEnum
 from types import MappingProxyType
 
@@ -71,7 +71,10 @@ class Detections2D:
         camera_id: whose frame.
         frame_time_ns: when the frame was exposed, reference clock. Differs from the instant it belongs to by up
             to half a frame interval.
-        boxes: (N, 4) xyxy, px. scores: (N,) in [0, 1]. classes: (N,) indices into `CLASSES`.
+        boxes: (N, 4) xyxy, px, around what is seen of each vehicle. scores: (N,) in [0, 1].
+        classes: (N,) indices into `CLASSES`.
+        amodal_boxes: (N, 4) xyxy, px, around the whole vehicle within the image, what is hidden included, where known.
+        amodal_sd: (N, 4) standard deviations of their edges, px. Both are NaN, or not given, where unknown.
     """
 
     camera_id: str
@@ -79,6 +82,8 @@ class Detections2D:
     boxes: FloatArray
     scores: FloatArray
     classes: IntArray
+    amodal_boxes: FloatArray = field(default_factory=lambda: np.empty((0, 4)))
+    amodal_sd: FloatArray = field(default_factory=lambda: np.empty((0, 4)))
 
     def __post_init__(self) -> None:
         boxes = np.asarray(self.boxes, dtype=np.float64).reshape(-1, 4)
@@ -92,6 +97,16 @@ class Detections2D:
             raise ValueError("a 2D box needs x0 <= x1 and y0 <= y1")
         if len(classes) and (classes.min() < 0 or classes.max() >= len(CLASSES)):
             raise ValueError(f"a class index must lie in 0..{len(CLASSES) - 1}")
+        amodal, sd = (
+            np.asarray(given, dtype=np.float64).reshape(-1, 4) if np.size(given) else np.full((len(boxes), 4), np.nan)
+            for given in (self.amodal_boxes, self.amodal_sd)
+        )
+        if not len(boxes) == len(amodal) == len(sd):
+            raise ValueError(f"{len(boxes)} boxes, {len(amodal)} amodal boxes, {len(sd)} standard deviations of them")
+        if ((~np.isnan(amodal)).any(axis=1) & ~(np.isfinite(amodal) & (sd > 0) & np.isfinite(sd)).all(axis=1)).any():
+            raise ValueError("an amodal box must be finite, with standard deviations above 0, or NaN")
+        object.__setattr__(self, "amodal_boxes", amodal)
+        object.__setattr__(self, "amodal_sd", sd)
         object.__setattr__(self, "boxes", boxes)
         object.__setattr__(self, "scores", scores)
         object.__setattr__(self, "classes", classes)
@@ -101,7 +116,13 @@ class Detections2D:
 
     def where(self, keep: NDArray[np.bool_] | IntArray) -> Detections2D:
         """The selected detections."""
-        return Detections2D(self.camera_id, self.frame_time_ns, self.boxes[keep], self.scores[keep], self.classes[keep])
+        names = ("boxes", "scores", "classes", "amodal_boxes", "amodal_sd")
+        return replace(self, **{name: getattr(self, name)[keep] for name in names})
+
+    @property
+    def whole_boxes(self) -> FloatArray:
+        """(N, 4) xyxy, px: amodal boxes where they are known, else those of what is seen."""
+        return np.where(np.isnan(self.amodal_boxes), self.boxes, self.amodal_boxes)
 
 
 @dataclass(frozen=True, eq=False)

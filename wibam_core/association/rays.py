@@ -38,7 +38,7 @@ def ground_points(camera: Camera, detections: Detections2D) -> FloatArray:
     body that narrows upwards has it somewhat lower. A row nearer to the bottom would be biased towards the camera,
     and cameras on opposite sides would disagree by twice the bias.
     """
-    boxes = detections.boxes
+    boxes = detections.whole_boxes
     middles = 0.5 * (boxes[:, :2] + boxes[:, 2:])
     return intersect_plane(camera, middles, _PLANE_HEIGHTS_M[detections.classes])[:, :2]
 
@@ -52,7 +52,8 @@ def ground_covariances(camera: Camera, detections: Detections2D, points: FloatAr
     distance = np.maximum(np.linalg.norm(offset, axis=-1), 1e-6)
     plane = _PLANE_HEIGHTS_M[detections.classes]
     above = np.maximum(camera.centre_m[2] - plane, 0.5)
-    row_px = np.hypot(_ROW_SD_PX, _ROW_SD_SHARE * (detections.boxes[:, 3] - detections.boxes[:, 1]))
+    boxes = detections.whole_boxes
+    row_px = np.hypot(_ROW_SD_PX, _ROW_SD_SHARE * (boxes[:, 3] - boxes[:, 1]))
     by_row = (distance**2 + above**2) / above * row_px / camera.K[1, 1]
     by_height = distance / above * _HEIGHT_SD_SHARE * plane
     base = POINT_SD_M * _CLASS_SCALES[detections.classes]

@@ -12,7 +12,7 @@ from wibam_core.detection.boxes import FloatArray, Image
 
 #: Sides of the box that a crop shows, and its side in px.
 CONTEXT = 1.5
-CROP_PX = 64
+CROP_PX = 96
 
 
 class Window(NamedTuple):
@@ -23,15 +23,20 @@ class Window(NamedTuple):
     x1: int
     y1: int
 
+    @property
+    def size(self) -> tuple[int, int]:
+        """Width and height, px."""
+        return self.x1 - self.x0, self.y1 - self.y0
+
     def to_px(self, edges: FloatArray) -> FloatArray:
         """Edges (..., 4) in shares of the window to xyxy px, where (0, 0) is the centre of the image's first pixel."""
         low = np.array([self.x0, self.y0] * 2) - 0.5
-        return np.asarray(low + edges * np.array([self.x1 - self.x0, self.y1 - self.y0] * 2))
+        return np.asarray(low + edges * np.tile(self.size, 2))
 
     def to_shares(self, box: FloatArray) -> FloatArray:
         """The inverse of `to_px`."""
         low = np.array([self.x0, self.y0] * 2) - 0.5
-        return np.asarray((box - low) / np.array([self.x1 - self.x0, self.y1 - self.y0] * 2))
+        return np.asarray((box - low) / np.tile(self.size, 2))
 
 
 def window(box: FloatArray) -> Window:
@@ -43,7 +48,7 @@ def window(box: FloatArray) -> Window:
 
 
 def crop(image: Image, window: Window) -> NDArray[np.uint8]:
-    """The window of an image (H, W, C), C at most 4, its border repeated outwards, as (64, 64, C)."""
+    """The window of an image (H, W, C), C at most 4, its border repeated outwards, as (96, 96, C)."""
     height, width = image.shape[:2]
     x0, y0, x1, y1 = window
     inside = image[max(y0, 0) : min(y1, height), max(x0, 0) : min(x1, width)]
@@ -56,7 +61,7 @@ def crop(image: Image, window: Window) -> NDArray[np.uint8]:
 
 
 def blob(image: Image, background: Image, known: Image, boxes: FloatArray) -> tuple[NDArray[np.float32], list[Window]]:
-    """Crops (N, 7, 64, 64) of the image, the background and where that is known, and their windows.
+    """Crops (N, 7, 96, 96) of the image, the background and where that is known, and their windows.
 
     Args:
         image: (H, W, 3) uint8, BGR.

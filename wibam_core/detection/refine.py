@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 import onnxruntime
 
 from wibam_core.detection.background import StillBackground
-from wibam_core.detection.boxes import FloatArray, Found, Image, non_maximum_suppression
+from wibam_core.detection.boxes import FloatArray, Found, Image, IntArray, non_maximum_suppression
 from wibam_core.detection.crops import blob
 
 #: The refiner that comes with the project; learned from simulated images.
@@ -17,6 +18,26 @@ BUNDLED_REFINER = Path(__file__).resolve().parent.parent / "models" / "bundled" 
 #: An edge is moved by at most this share of its box's side in all; a refiner that wants more has not understood it.
 _MOST_MOVED = 0.3
 _PASSES = 2
+_OUTPUTS = ("edges", "reach", "log_scale", "classes")
+_OUTWARD = np.array([-1.0, -1.0, 1.0, 1.0])
+#: Standard deviation of a normal error in mean absolute ones.
+_SD_OF_ABSOLUTE_ERROR = 1.25
+
+
+class Refined(NamedTuple):
+    """Boxes after a second look.
+
+    Attributes:
+        boxes: (N, 4) xyxy, px, around what is seen of each vehicle. scores: (N,). classes: (N,).
+        amodal_boxes: (N, 4) around the whole vehicles within the image, what is hidden included.
+        amodal_sd: (N, 4) standard deviations of their edges, px.
+    """
+
+    boxes: FloatArray
+    scores: FloatArray
+    classes: IntArray
+    amodal_boxes: FloatArray
+    amodal_sd: FloatArray
 
 
 class EdgeRefiner:
@@ -29,8 +50,8 @@ class EdgeRefiner:
 
     def refine(
         self, image_bgr: Image, background: StillBackground, found: Found, *, nms_iou: float, classify: bool
-    ) -> Found:
-        """The boxes with better edges, in the order in which they were given; what turns out to be found twice goes.
+    ) -> Refined:
+        """The boxes with better edges, and amodal ones, in the order given; what turns out to be found twice goes.
 
         Args:
             image_bgr: (H, W, 3) uint8.
@@ -40,18 +61,23 @@ class EdgeRefiner:
             classify: give the boxes the refiner's classes, too.
         """
         if not len(found.boxes):
-            return found
+            return Refined(*found, np.empty((0, 4)), np.empty((0, 4)))
         limits = np.array([image_bgr.shape[1], image_bgr.shape[0]] * 2) - 0.5
         boxes, classes = found.boxes, found.classes
         for _ in range(_PASSES):
             crops, windows = blob(image_bgr, background.image, background.known, boxes)
-            edges, logits = self._session.run(["edges", "classes"], {"image": crops})
-            seen = np.stack([w.to_px(e) for w, e in zip(windows, edges.astype(np.float64), strict=True)])
+            edges, reach, log_scale, logits = (
+                values.astype(np.float64) for values in self._session.run(_OUTPUTS, {"image": crops})
+            )
+            seen = np.stack([w.to_px(e) for w, e in zip(windows, edges, strict=True)])
             boxes = _moved(found.boxes, np.clip(seen, -0.5, limits))
             if classify:
                 classes = logits.argmax(axis=1).astype(np.int64)
+        sides = np.tile(np.array([window.size for window in windows], dtype=np.float64), (1, 2))
+        amodal = np.clip(boxes + _OUTWARD * reach * sides, -0.5, limits)
+        sd = _SD_OF_ABSOLUTE_ERROR * np.exp(log_scale) * sides
         kept = np.sort(non_maximum_suppression(boxes, found.scores, nms_iou))
-        return Found(boxes[kept], found.scores[kept], classes[kept])
+        return Refined(boxes[kept], found.scores[kept], classes[kept], amodal[kept], sd[kept])
 
 
 def _moved(boxes: FloatArray, wanted: FloatArray) -> FloatArray:

@@ -16,18 +16,22 @@ import pyarrow.parquet as pq
 
 from wibam_core.scene import CLASSES, AnnotatedInstant, Detections2D, MultiViewVehicle
 
+_BOX = ("x0_px", "y0_px", "x1_px", "y1_px")
+_AMODAL_BOX = ("amodal_x0_px", "amodal_y0_px", "amodal_x1_px", "amodal_y1_px")
+_AMODAL_SD = ("amodal_x0_sd_px", "amodal_y0_sd_px", "amodal_x1_sd_px", "amodal_y1_sd_px")
+_AMODAL = (*_AMODAL_BOX, *_AMODAL_SD)
+
 SCHEMA = pa.schema(
     [
         ("time_ns", pa.int64()),
         ("camera_id", pa.string()),
         ("frame_time_ns", pa.int64()),
         ("index", pa.int32()),
-        ("x0_px", pa.float64()),
-        ("y0_px", pa.float64()),
-        ("x1_px", pa.float64()),
-        ("y1_px", pa.float64()),
+        *((name, pa.float64()) for name in _BOX),
         ("score", pa.float64()),
         ("class", pa.string()),
+        # around the whole vehicle, hidden parts included, and standard deviations; null where unknown
+        *((name, pa.float64()) for name in _AMODAL),
         # of the multi-view vehicle that the box belongs to; null where it belongs to none
         ("obj_id", pa.int32()),
         ("track_id", pa.int32()),
@@ -54,14 +58,12 @@ def write_annotations(path: Path, instants: Iterable[AnnotatedInstant]) -> None:
                 row(**frame, index=-1)
             for i in range(len(seen)):
                 vehicle = owner.get((camera_id, i))
-                x0, y0, x1, y1 = seen.boxes[i].tolist()
+                amodal = np.concatenate([seen.amodal_boxes[i], seen.amodal_sd[i]])
                 row(
                     **frame,
                     index=i,
-                    x0_px=x0,
-                    y0_px=y0,
-                    x1_px=x1,
-                    y1_px=y1,
+                    **dict(zip(_BOX, seen.boxes[i].tolist(), strict=True)),
+                    **(dict(zip(_AMODAL, amodal.tolist(), strict=True)) if np.isfinite(amodal).all() else {}),
                     score=float(seen.scores[i]),
                     **{"class": CLASSES[seen.classes[i]].value},
                     **(
@@ -95,9 +97,13 @@ def _instant(time_ns: int, rows: list[dict[str, Any]]) -> AnnotatedInstant:
         detections[camera_id] = Detections2D(
             camera_id,
             frame[0]["frame_time_ns"],
-            np.array([[r["x0_px"], r["y0_px"], r["x1_px"], r["y1_px"]] for r in boxes]),
+            np.array([[r[name] for name in _BOX] for r in boxes]),
             np.array([r["score"] for r in boxes]),
             np.array([_CLASS[r["class"]].number for r in boxes], dtype=np.int64),
+            *(
+                np.array([[r[name] for name in names] for r in boxes], dtype=np.float64)
+                for names in (_AMODAL_BOX, _AMODAL_SD)
+            ),
         )
         for r in boxes:
             if r["obj_id"] is None:

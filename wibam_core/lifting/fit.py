@@ -20,11 +20,11 @@ from wibam_core.scene import FloatArray
 #: Order of the unknowns.
 X, Y, LOG_LENGTH, LOG_WIDTH, LOG_HEIGHT, YAW = range(6)
 
-#: Standard deviation of an edge of a good detector: this many px, and this share of the box's side, added in squares.
-_EDGE_SD_PX = 1.0
-_EDGE_SD_SHARE = 0.03
 #: Residuals beyond this many standard deviations lose weight (Cauchy).
-ROBUST_SD = 2.5
+ROBUST_SD = 1.5
+#: An edge is only guessed if its standard deviation is more than this share of the box's side; one so many of them off
+#: does not count against a fit.
+_GUESSED_SHARE, _NEAR_SD = 0.08, 2.0
 #: A view with a body point nearer than this along the optical axis is not compared, m.
 _NEAREST_M = 0.5
 _CHUNK = 4096
@@ -35,17 +35,18 @@ class FitProblem:
     """B vehicles with V view slots and bodies of P points.
 
     Attributes:
-        cameras: shape (B, V). boxes: (B, V, 4) xyxy, px.
+        cameras: shape (B, V). boxes: (B, V, 4) xyxy, px. edge_sd: (B, V, 4) standard deviations stated, px.
         seen: (B, V) bool. exact: (B, V, 4) bool: compared both ways; other edges only ask for "at least so far".
         cut: (B, V, 2) bool: the image border cuts the box across, down.
         shift: (B, V, 2) displacement of the vehicle on the ground at the view's exposure, m.
         body: (B, P, 3) points in lengths, widths and heights from the centre.
-        noise: (B,) how many times worse than a good detector's the edges are.
+        noise: (B,) how many times worse than stated the edges are.
         prior_mean: (B, 6). prior_weight: (B, 6) inverse variances, 0 for unknown; yaw is compared modulo 2π.
     """
 
     cameras: CameraTensors
     boxes: Tensor
+    edge_sd: Tensor
     seen: Tensor
     exact: Tensor
     cut: Tensor
@@ -58,10 +59,15 @@ class FitProblem:
     def __len__(self) -> int:
         return len(self.boxes)
 
+    def sd(self) -> Tensor:
+        """(B, V, 4) standard deviations of the boxes' edges, px."""
+        return self.edge_sd * self.noise[:, None, None]
+
     def __getitem__(self, index: Tensor | slice) -> FitProblem:
         return FitProblem(
             self.cameras[index],
             self.boxes[index],
+            self.edge_sd[index],
             self.seen[index],
             self.exact[index],
             self.cut[index],
@@ -131,7 +137,7 @@ def evaluate(problem: FitProblem, parameters: Tensor) -> Fit:
     """Cost, information and overlap of given solutions (B, 6)."""
     state = _linearise(problem, parameters)
     compared = state.exact & state.used[..., None]
-    residuals = torch.where(compared, (state.predicted - problem.boxes) / edge_sd(problem), torch.nan)
+    residuals = torch.where(compared, (state.predicted - problem.boxes) / problem.sd(), torch.nan)
     return Fit(parameters, state.cost, state.data_hessian, _view_giou(problem, state), residuals)
 
 
@@ -196,7 +202,7 @@ class _State:
 def _linearise(problem: FitProblem, parameters: Tensor) -> _State:
     """Robust cost, gradient and Gauss–Newton Hessian at (B, 6)."""
     edges, jacobian, exact, used = predicted_edges(problem, parameters)
-    sd = edge_sd(problem)
+    sd = problem.sd()
     residual = (edges - problem.boxes) / sd
     outward = residual.new_tensor([-1.0, -1.0, 1.0, 1.0])
     beyond = residual * outward >= 0
@@ -220,13 +226,6 @@ def _linearise(problem: FitProblem, parameters: Tensor) -> _State:
     data_hessian = weighted.transpose(1, 2) @ scaled
     hessian = data_hessian + torch.diag_embed(problem.prior_weight)
     return _State(cost, gradient, hessian, data_hessian, edges, exact, used)
-
-
-def edge_sd(problem: FitProblem) -> Tensor:
-    """(B, V, 4) standard deviations of the boxes' edges, px."""
-    sides = (problem.boxes[..., 2:] - problem.boxes[..., :2]).repeat(1, 1, 2)
-    sd = torch.hypot(torch.full_like(sides, _EDGE_SD_PX), _EDGE_SD_SHARE * sides)
-    return sd * problem.noise[:, None, None]
 
 
 def predicted_edges(problem: FitProblem, parameters: Tensor) -> tuple[Tensor, Tensor, Tensor, Tensor]:
@@ -295,11 +294,16 @@ def _point_jacobian(local: Tensor, height: Tensor, cos: Tensor, sin: Tensor) -> 
 
 
 def _view_giou(problem: FitProblem, state: _State) -> Tensor:
-    """(B, V): an edge that is cut or hidden counts as met where the fit reaches beyond it."""
-    predicted, used = state.predicted, state.used
+    """(B, V): an edge that is cut or hidden counts as met where the fit reaches beyond it, and one that is only guessed
+    where the fit is near."""
+    boxes, predicted, used = problem.boxes, state.predicted, state.used
     outward = predicted.new_tensor([-1.0, -1.0, 1.0, 1.0])
-    met = ~state.exact & ((predicted - problem.boxes) * outward >= 0)
-    overlap = giou(torch.where(met, problem.boxes, predicted), problem.boxes)
+    off = predicted - boxes
+    met = ~state.exact & (off * outward >= 0)
+    near = _NEAR_SD * problem.edge_sd
+    guessed = problem.edge_sd > _GUESSED_SHARE * (boxes[..., 2:] - boxes[..., :2]).repeat(1, 1, 2)
+    off = torch.where(guessed, off - off.clamp(-near, near), off)
+    overlap = giou(torch.where(met, boxes, boxes + off), boxes)
     return torch.where(used, overlap, torch.where(problem.seen, -torch.ones_like(overlap), torch.ones_like(overlap)))
 
 
@@ -312,7 +316,7 @@ def yaw_starts(parameters: Tensor, turns: int) -> Tensor:
 
 
 def with_noise(problem: FitProblem, noise: float) -> FitProblem:
-    """The same problem with edges that are ``noise`` times worse than a good detector's."""
+    """The same problem with edges that are ``noise`` times worse than stated."""
     return replace(problem, noise=torch.full_like(problem.noise, noise))
 
 

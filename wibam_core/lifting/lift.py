@@ -199,6 +199,7 @@ def _problem(
     return FitProblem(
         cameras=cameras[torch.as_tensor(seen.cameras)],
         boxes=tensor(seen.boxes),
+        edge_sd=tensor(seen.edge_sd),
         seen=torch.as_tensor(seen.seen),
         exact=torch.as_tensor(seen.exact),
         cut=torch.as_tensor(seen.cut),
@@ -211,7 +212,7 @@ def _problem(
 
 
 def _estimate_noise(problem: FitProblem, known: np.ndarray, views: FloatArray, iterations: int) -> float:
-    """How much worse than a good detector's the edges are, by fits of a sample of vehicles in several views."""
+    """How much worse than stated the edges are, by fits of a sample of vehicles in several views."""
     several = np.flatnonzero(views > 1)
     sample = several[:: max(1, len(several) // _NOISE_SAMPLE)]
     if not len(sample):

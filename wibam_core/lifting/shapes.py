@@ -24,7 +24,6 @@ from wibam_core.lifting.fit import (
     FitProblem,
     X,
     Y,
-    edge_sd,
     fit,
     predicted_edges,
     with_bodies,
@@ -205,7 +204,7 @@ def _of_sightings(shapes: Shapes, problem: FitProblem, fitted: Fit, classes: Int
     """Information (N, 3 + K, 3 + K) of single sightings on log sizes (from the class's usual ones) and modes, and the
     score (N, 3 + K) where both are 0; place and yaw are marginalised."""
     edges, jacobian, exact, used = predicted_edges(problem, fitted.parameters)
-    sd = edge_sd(problem)
+    sd = problem.sd()
     compared = (exact & used[..., None]).numpy()
     residual = np.where(compared, ((edges - problem.boxes) / sd).numpy(), 0.0).astype(np.float64)
     weight = compared / (1 + (residual / ROBUST_SD) ** 2)

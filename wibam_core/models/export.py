@@ -14,7 +14,7 @@ import torch
 from torch import Tensor, nn
 
 from wibam_core.models.detector2d import Detector2D, ExportedDetector2D
-from wibam_core.models.refiner2d import Refiner2D
+from wibam_core.models.refiner2d import Refiner2D, RefinerOutputs
 from wibam_core.models.small import REFERENCE_FOCAL_PX, UNCERTAINTY_GROUPS, SmallNetwork, SmallOutputs
 from wibam_core.models.trunk import INPUT_MULTIPLE, STRIDE
 from wibam_core.models.usage import Usage, input_width_metadata
@@ -73,10 +73,10 @@ def export_detector2d(detector: Detector2D, path: Path, width_px: int = 512, hei
 def export_refiner2d(refiner: Refiner2D, path: Path, crop_px: int) -> None:
     """Write the edge refiner as one ONNX file, whole or not at all.
 
-    Input ``image`` (B, 7, S, S) and outputs ``edges``, ``log_scale`` and ``classes``, each (B, 4): see `Refiner2D`.
-    B is dynamic, S is ``crop_px``. Metadata: ``family``, ``classes`` (a JSON list), ``crop_px``.
+    Input ``image`` (B, 7, S, S); the outputs, each (B, 4), are named as the fields of `RefinerOutputs`. B is dynamic,
+    S is ``crop_px``. Metadata: ``family``, ``classes`` (a JSON list), ``crop_px``.
     """
-    outputs = ("edges", "log_scale", "classes")
+    outputs = RefinerOutputs._fields
     model = _onnx(
         copy.deepcopy(refiner),
         torch.zeros(1, 7, crop_px, crop_px),

@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 from collections.abc import Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
+from dataclasses import replace
 from functools import partial
 
 import numpy as np
@@ -83,7 +84,15 @@ def _refined(
             nms_iou=config.nms_iou,
             classify=config.detector == "bundled",  # other detectors know vehicles from more than simulation
         )
-        native = store.to_native_px(seen.camera_id, found.boxes)
-        return Detections2D(seen.camera_id, seen.frame_time_ns, native, found.scores, found.classes)
+        native, amodal = (store.to_native_px(seen.camera_id, edges) for edges in (found.boxes, found.amodal_boxes))
+        scale = store.to_native_px(seen.camera_id, np.ones(4)) - store.to_native_px(seen.camera_id, np.zeros(4))
+        return replace(
+            seen,
+            boxes=native,
+            scores=found.scores,
+            classes=found.classes,
+            amodal_boxes=amodal,
+            amodal_sd=found.amodal_sd * scale,
+        )
 
     return AnnotatedInstant(instant.time_ns, {id_: refine(seen) for id_, seen in instant.detections.items()})

@@ -131,13 +131,12 @@ def main() -> None:
     network = load_network(arguments.start) if arguments.start else SmallNetwork()
     validation = render(VALIDATION_SEED, "ego", arguments.views, _MEASURED_PX)
     site = render(SITE_REPORT_SEED, "site", arguments.views, _MEASURED_PX)
-    shards = -(-arguments.images // arguments.shard)
-    plan = PoolPlan(
+    plan = PoolPlan.within(
+        arguments.steps,
         TRAINING_SEED + arguments.seed,
         "ego",
         arguments.images,
         arguments.shard,
-        max(1, int(0.6 * arguments.steps) // shards),
         (arguments.rendered[0], arguments.rendered[1]),
     )
 

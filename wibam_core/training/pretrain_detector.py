@@ -127,14 +127,8 @@ def main() -> None:
     torch.manual_seed(arguments.seed)
     arguments.out.mkdir(parents=True, exist_ok=True)
     validation = render(VALIDATION_SEED, "elevated", 80, (WIDTH_PX, HEIGHT_PX))
-    shards = -(-arguments.images // arguments.shard)
-    plan = PoolPlan(
-        TRAINING_SEED + arguments.seed,
-        "elevated",
-        arguments.images,
-        arguments.shard,
-        max(1, int(0.6 * arguments.steps) // shards),
-        RENDERED_PX,
+    plan = PoolPlan.within(
+        arguments.steps, TRAINING_SEED + arguments.seed, "elevated", arguments.images, arguments.shard, RENDERED_PX
     )
 
     def checkpoint(averaged: Detector2D, step: int) -> dict[str, Any]:

@@ -1,77 +1,130 @@
 """Make the bundled edge refiner: 2D boxes against the still background of other simulated sites' elevated views.
 
-python -m wibam_core.training.pretrain_refiner --out build/pretrain_refiner --steps 4000
+python -m wibam_core.training.pretrain_refiner --out build/pretrain_refiner --steps 5000 --images 4000 --workers 1
 """
 
 from __future__ import annotations
 
 import argparse
 import time
-from dataclasses import dataclass
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass, fields
 from pathlib import Path
+from typing import Any
 
 import cv2
 import numpy as np
 import torch
 from numpy.typing import NDArray
-from torch import Tensor, nn
+from torch import Tensor
 from torch.nn import functional
+from torch.utils.data import IterableDataset
 
 from wibam_core.detection.background import UNKNOWN
-from wibam_core.detection.crops import CROP_PX, blob
+from wibam_core.detection.crops import CROP_PX, Window, blob
 from wibam_core.models.export import export_refiner2d
 from wibam_core.models.refiner2d import Refiner2D
+from wibam_core.synthetic.sampling import RenderedView
 from wibam_core.training.augment import compress, jitter_colour
-from wibam_core.training.device import Precision
-from wibam_core.training.pretraining import Schedule, append_log, labelled, render
+from wibam_core.training.device import Precision, choose_device
+from wibam_core.training.pretraining import (
+    VIEWS_PER_SITE,
+    PoolPlan,
+    Schedule,
+    add_options,
+    ahead,
+    is_taught,
+    pretrain,
+    render,
+    share_of_processes,
+)
 from wibam_core.training.views import FloatArray
 
-SIZE_PX = (640, 360)
+#: Sites take turns.
+SIZES_PX = ((640, 360), (960, 540), (1280, 720))
 TRAINING_SEED = 220_000
 VALIDATION_SEED = 310_000
+VALIDATION_VIEWS = 120
 
 #: A patch shows so many sides of the true box: room for crops around wrong ones.
 _PATCH = 2.4
+#: Patches are kept no larger than that a side of the box is so long, px: a crop shows no more of it.
+_BOX_PX = 80.0
 #: A detector's edges are off by a share of the side, drawn anew for each box up to this s.d., and by this many px.
 _EDGE_SD_SHARE, _EDGE_SD_PX = 0.12, 0.7
-_WEIGHTS = {"edges": 20.0, "scale": 0.1, "classes": 0.3}
+#: In so many boxes one edge is far off, by up to this share of the side.
+_FAR_OFF, _FAR_SHARE = 0.15, 0.3
+_WEIGHTS = {"edges": 20.0, "whole": 10.0, "scale": 0.1, "classes": 0.3}
 
 
 @dataclass(frozen=True, eq=False)
 class Patch:
-    """A vehicle cut out: image, background and known (h, w, 7) uint8, its box (4,) xyxy in px of the patch, class."""
+    """A vehicle cut out: image, background and known (h, w, 7) uint8, the boxes (4,) xyxy of what is seen of it and of
+    the whole of it, px of the patch, and its class."""
 
     pixels: NDArray[np.uint8]
-    box: FloatArray
+    seen: FloatArray
+    whole: FloatArray
     vehicle_class: int
+
+
+@dataclass(frozen=True, eq=False)
+class Crops:
+    """B crops (B, 7, S, S), the edges (B, 4) of what is seen and of the whole in shares of the crop, classes (B,)."""
+
+    images: Tensor
+    seen: Tensor
+    whole: Tensor
+    classes: Tensor
+
+    def to(self, device: torch.device) -> Crops:
+        """The same on ``device``."""
+        return Crops(*(getattr(self, field.name).to(device) for field in fields(self)))
 
 
 def patches(seed: int, count: int) -> list[Patch]:
     """The vehicles of ``count`` rendered views."""
-    found = []
-    for view in render(seed, "elevated", count, SIZE_PX):
-        taught = labelled(view)
-        known = np.full((*view.image.shape[:2], 1), 255, np.uint8)
-        pixels = np.concatenate([view.image, view.still, known], axis=2)
-        for box, vehicle_class in zip(taught.boxes2d, taught.classes.tolist(), strict=True):
-            centre, half = (box[:2] + box[2:]) / 2, _PATCH * (box[2:] - box[:2]) / 2 + 4
-            x0, y0 = np.maximum(np.floor(centre - half), 0).astype(int)
-            x1, y1 = np.ceil(centre + half).astype(int) + 1
-            found.append(Patch(pixels[y0:y1, x0:x1].copy(), box - [x0, y0, x0, y0], vehicle_class))
+    found: list[Patch] = []
+    for first in range(0, count, VIEWS_PER_SITE):
+        size_px = SIZES_PX[first // VIEWS_PER_SITE % len(SIZES_PX)]
+        for view in render(seed + first, "elevated", min(VIEWS_PER_SITE, count - first), size_px):
+            found += [_patch(view, row) for row in np.flatnonzero(is_taught(view)).tolist()]
     return found
+
+
+def _patch(view: RenderedView, row: int) -> Patch:
+    box, whole = view.visible_boxes[row], view.amodal_boxes[row]
+    centre, half = (box[:2] + box[2:]) / 2, _PATCH * (box[2:] - box[:2]) / 2 + 4
+    height, width = view.image.shape[:2]
+    x0, y0 = np.maximum(np.floor(centre - half), 0).astype(int).tolist()
+    x1, y1 = np.minimum(np.ceil(centre + half) + 1, [width, height]).astype(int).tolist()
+    share = np.minimum(1.0, _BOX_PX / (box[2:] - box[:2]))
+    columns, rows = np.maximum(1, np.round(share * [x1 - x0, y1 - y0])).astype(int).tolist()
+    parts = [
+        np.asarray(cv2.resize(image[y0:y1, x0:x1], (columns, rows), interpolation=cv2.INTER_AREA), np.uint8)
+        for image in (view.image, view.still)
+    ]
+    known = np.full((rows, columns, 1), 255, np.uint8)
+    before, after = Window(x0, y0, x1, y1), Window(0, 0, columns, rows)
+    seen, all_of_it = (after.to_px(before.to_shares(edges)) for edges in (box, whole))
+    return Patch(np.concatenate([*parts, known], axis=2), seen, all_of_it, int(view.vehicles.classes[row]))
 
 
 def jittered(box: FloatArray, size_px: tuple[int, int], rng: np.random.Generator) -> FloatArray:
     """The box (4,) as a detector might give it, inside an image of the given width and height."""
     sides = np.tile(box[2:] - box[:2], 2)
     off = rng.normal(0.0, np.hypot(_EDGE_SD_PX, sides * rng.uniform(0.01, _EDGE_SD_SHARE)))
+    if rng.random() < _FAR_OFF:
+        edge = int(rng.integers(4))
+        off[edge] = rng.uniform(-_FAR_SHARE, _FAR_SHARE) * sides[edge]
     limits = np.tile(np.array(size_px, np.float64), 2) - 0.5
     moved = np.clip(box + off, -0.5, limits)
     return np.concatenate([np.minimum(moved[:2], moved[2:] - 2), moved[2:]])
 
 
-def sample(patch: Patch, rng: np.random.Generator) -> tuple[NDArray[np.float32], FloatArray]:
-    """A crop (7, 64, 64) around a wrong box, and the right edges (4,) in shares of the crop."""
+def sample(patch: Patch, rng: np.random.Generator) -> tuple[NDArray[np.float32], FloatArray, FloatArray]:
+    """A crop (7, S, S) around a wrong box, and the right edges (4,) of what is seen and of the whole vehicle, in
+    shares of the crop."""
     height, width = patch.pixels.shape[:2]
     image, still, known = np.split(patch.pixels, [3, 6], axis=2)
     both = jitter_colour(np.concatenate([image, still]), rng)
@@ -93,51 +146,90 @@ def sample(patch: Patch, rng: np.random.Generator) -> tuple[NDArray[np.float32],
         else:
             still[part] = image[part]
     still[known[..., 0] == 0] = UNKNOWN
-    box = patch.box
+    boxes = np.stack([patch.seen, patch.whole])
     if rng.random() < 0.5:
         image, still, known = (np.ascontiguousarray(part[:, ::-1]) for part in (image, still, known))
-        box = np.array([width - 1 - box[2], box[1], width - 1 - box[0], box[3]])
-    given = jittered(box, (width, height), rng)
+        boxes = np.stack([width - 1 - boxes[:, 2], boxes[:, 1], width - 1 - boxes[:, 0], boxes[:, 3]], axis=1)
+    given = jittered(boxes[0], (width, height), rng)
     crops, windows = blob(image, still, known[..., 0], given[None])
-    return crops[0], windows[0].to_shares(box)
+    return crops[0], *windows[0].to_shares(boxes)
 
 
-def losses(network: Refiner2D, crops: Tensor, edges: Tensor, classes: Tensor) -> dict[str, Tensor]:
-    """L1 of the edges, likelihood of their errors under the scales, cross entropy of the classes."""
-    with Precision.of(torch.device("cpu")).autocast():
-        maps, summary = network.features(crops)
-    found, log_scale, logits = network.heads(maps.float(), summary.float())
-    error = (found - edges).abs()
+class CropBatches(IterableDataset[Crops]):
+    """So many batches, seeded; of several processes, each makes every so many-th, of vehicles that it renders."""
+
+    def __init__(self, plan: PoolPlan, count: int, batch_size: int, seed: int) -> None:
+        self._plan, self._count, self._batch_size, self._seed = plan, count, batch_size, seed
+
+    def __iter__(self) -> Iterator[Crops]:
+        plan, rng, steps = share_of_processes(self._plan, self._seed, self._count)
+        pool: list[Patch] = []
+        rendered = 0
+        for step in steps:
+            due = plan.due(step)
+            if rendered < due:
+                pool += patches(plan.seed + rendered, due - rendered)
+                rendered = due
+            chosen = [pool[int(number)] for number in rng.integers(0, len(pool), self._batch_size)]
+            crops, seen, whole = zip(*(sample(patch, rng) for patch in chosen), strict=True)
+            yield Crops(
+                torch.from_numpy(np.stack(crops)).contiguous(memory_format=torch.channels_last),
+                torch.from_numpy(np.stack(seen).astype(np.float32)),
+                torch.from_numpy(np.stack(whole).astype(np.float32)),
+                torch.tensor([patch.vehicle_class for patch in chosen]),
+            )
+
+
+def losses(network: Refiner2D, batch: Crops) -> dict[str, Tensor]:
+    """L1 of the edges, likelihood of the whole vehicle's errors under the scales, cross entropy of the classes."""
+    with Precision.of(batch.images.device).autocast():
+        maps, summary = network.features(batch.images)
+    found = network.heads(maps.float(), summary.float())
+    error = (found.whole - batch.whole).abs()
     parts = {
-        "edges": error.mean(),
-        "scale": (error.detach() * torch.exp(-log_scale) + log_scale).mean(),
-        "classes": functional.cross_entropy(logits, classes),
+        "edges": (found.edges - batch.seen).abs().mean(),
+        "whole": error.clamp(max=1.0).mean(),
+        "scale": (error.detach() * torch.exp(-found.log_scale) + found.log_scale).mean(),
+        "classes": functional.cross_entropy(found.classes, batch.classes),
     }
     weighted = {name: part * _WEIGHTS[name] for name, part in parts.items()}
     return {**weighted, "total": torch.stack(list(weighted.values())).sum()}
 
 
-def measure(network: Refiner2D, found: list[Patch]) -> dict[str, float]:
-    """Errors of edges in shares of their box's side, before and after, and the share of right classes."""
+def measure(network: Refiner2D, found: list[Patch]) -> dict[str, Any]:
+    """Errors of edges in shares of their box's side: before and after, of edges in sight and of hidden ones; the mean
+    of the errors in expected ones; and the share of right classes."""
     rng = np.random.default_rng(5)
-    before, after, right = [], [], []
+    before, after, whole, hidden, ratio, right = [], [], [], [], [], []
     network.eval()
+    device = next(network.parameters()).device
     for patch in found:
         height, width = patch.pixels.shape[:2]
-        given = jittered(patch.box, (width, height), rng)
+        given = jittered(patch.seen, (width, height), rng)
         image, still, known = np.split(patch.pixels, [3, 6], axis=2)
         crops, windows = blob(image, still, known[..., 0], given[None])
         with torch.inference_mode():
-            edges, _, logits = network(torch.from_numpy(crops))
-        sides = np.tile(patch.box[2:] - patch.box[:2], 2)
-        after.append(np.abs(windows[0].to_px(edges[0].double().numpy()) - patch.box) / sides)
-        before.append(np.abs(given - patch.box) / sides)
-        right.append(int(logits.argmax()) == patch.vehicle_class)
+            said = network(torch.from_numpy(crops).to(device))
+        sides = np.tile(patch.seen[2:] - patch.seen[:2], 2)
+        edges, all_of_it = (windows[0].to_px(part[0].double().cpu().numpy()) for part in (said.edges, said.whole))
+        after.append(np.abs(edges - patch.seen) / sides)
+        whole.append(np.abs(all_of_it - patch.whole) / sides)
+        before.append(np.abs(given - patch.seen) / sides)
+        hidden.append(np.abs(patch.whole - patch.seen) > 0.02 * sides)
+        scale = np.exp(said.log_scale[0].double().cpu().numpy()) * np.tile(windows[0].size, 2) / sides
+        ratio.append(whole[-1] / scale)
+        right.append(int(said.classes.argmax()) == patch.vehicle_class)
+    behind, off = np.array(hidden), np.array(whole)
     return {
         "vehicles": len(found),
         "before_mean": round(float(np.mean(before)), 4),
         "after_mean": round(float(np.mean(after)), 4),
         "after_median": round(float(np.median(after)), 4),
+        "hidden_share": round(float(behind.mean()), 4),
+        "hidden_mean": round(float(off[behind].mean()), 4),
+        "hidden_median": round(float(np.median(off[behind])), 4),
+        "in_sight_mean": round(float(off[~behind].mean()), 4),
+        "in_expected_errors": round(float(np.mean(ratio)), 3),
         "classes_right": round(float(np.mean(right)), 4),
     }
 
@@ -145,49 +237,34 @@ def measure(network: Refiner2D, found: list[Patch]) -> dict[str, float]:
 def main() -> None:
     parser = argparse.ArgumentParser(description="Train the bundled edge refiner on simulated elevated views.")
     parser.add_argument("--out", type=Path, default=Path("build/pretrain_refiner"), help="folder for weights and log")
-    parser.add_argument("--steps", type=int, default=4000)
-    parser.add_argument("--images", type=int, default=1000)
-    parser.add_argument("--batch", type=int, default=48)
-    parser.add_argument("--learning-rate", type=float, default=2e-3)
-    parser.add_argument("--seed", type=int, default=0)
-    parser.add_argument("--threads", type=int, default=1)
+    add_options(parser, steps=5000, images=4000, batch=64)
     arguments = parser.parse_args()
+    device = choose_device(arguments.device, "--device")
     torch.set_num_threads(arguments.threads)
     torch.manual_seed(arguments.seed)
-    rng = np.random.default_rng(arguments.seed)
     arguments.out.mkdir(parents=True, exist_ok=True)
-    started = time.monotonic()
-    validation = patches(VALIDATION_SEED, 80)
-    pool = patches(TRAINING_SEED + arguments.seed, arguments.images)
-    schedule = Schedule(arguments.steps, arguments.learning_rate, 200, 1000)
-    network = Refiner2D().to(memory_format=torch.channels_last)  # type: ignore[call-overload]
-    optimizer = torch.optim.AdamW(network.parameters(), lr=schedule.learning_rate, weight_decay=1e-3)
-    recent: dict[str, float] = {}
-    for step in range(schedule.steps):
-        network.train()
-        chosen = [pool[int(number)] for number in rng.integers(0, len(pool), arguments.batch)]
-        drawn = [sample(patch, rng) for patch in chosen]
-        parts = losses(
-            network,
-            torch.from_numpy(np.stack([crop for crop, _ in drawn])).contiguous(memory_format=torch.channels_last),
-            torch.from_numpy(np.stack([edges for _, edges in drawn]).astype(np.float32)),
-            torch.tensor([patch.vehicle_class for patch in chosen]),
-        )
-        for group in optimizer.param_groups:
-            group["lr"] = schedule.rate(step)
-        optimizer.zero_grad(set_to_none=True)
-        parts["total"].backward()
-        nn.utils.clip_grad_norm_(network.parameters(), 5.0)
-        optimizer.step()
-        for name, part in parts.items():
-            recent[name] = 0.98 * recent.get(name, float(part.detach())) + 0.02 * float(part.detach())
-        done = step + 1
-        record = {"step": done, "vehicles": len(pool), "seconds": round(time.monotonic() - started, 1)}
-        if done % schedule.log_every == 0:
-            append_log(arguments.out / "log.jsonl", record | {name: round(v, 4) for name, v in recent.items()})
-        if done % schedule.checkpoint_every == 0 or done == schedule.steps:
-            append_log(arguments.out / "log.jsonl", record | measure(network, validation))
-            export_refiner2d(network, arguments.out / "refiner2d.onnx", CROP_PX)
+    validation = patches(VALIDATION_SEED, VALIDATION_VIEWS)
+    plan = PoolPlan.within(
+        arguments.steps, TRAINING_SEED + arguments.seed, "elevated", arguments.images, arguments.shard, SIZES_PX[0]
+    )
+
+    def checkpoint(averaged: Refiner2D, step: int) -> dict[str, Any]:
+        export_refiner2d(averaged, arguments.out / "refiner2d.onnx", CROP_PX)
+        return measure(averaged, validation)
+
+    data: Iterable[Crops] = ahead(
+        CropBatches(plan, arguments.steps, arguments.batch, arguments.seed), arguments.workers
+    )
+    pretrain(
+        Refiner2D(),
+        data,
+        Schedule(arguments.steps, arguments.learning_rate, 50, arguments.checkpoint_every),
+        losses,
+        checkpoint,
+        arguments.out / "log.jsonl",
+        time.monotonic,
+        device,
+    )
 
 
 if __name__ == "__main__":

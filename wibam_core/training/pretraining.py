@@ -9,7 +9,7 @@ import math
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any, Generic, TypeVar
+from typing import Any, Generic, Protocol, TypeVar
 
 import cv2
 import numpy as np
@@ -31,7 +31,8 @@ _MIN_VISIBILITY = 0.25
 _MIN_SIDE_PX = 6.0
 
 _JPEG_QUALITY = 95
-_VIEWS_PER_SITE = 20
+#: Rendered views share a site by so many.
+VIEWS_PER_SITE = 20
 
 #: One in this many views without a vehicle is kept.
 _KEPT_EMPTY = 5
@@ -43,11 +44,26 @@ _NO_IMAGE = np.zeros((0, 0, 3), np.uint8)
 Network = TypeVar("Network", bound=nn.Module)
 
 
-def labelled(rendered: RenderedView) -> LabelledView:
-    """A rendered view with its truth as labels."""
+class Movable(Protocol):
+    """A batch: something that can be moved to a device."""
+
+    def to(self: AnyBatch, device: torch.device) -> AnyBatch:
+        """The same on ``device``."""
+
+
+AnyBatch = TypeVar("AnyBatch", bound=Movable)
+
+
+def is_taught(rendered: RenderedView) -> NDArray[np.bool_]:
+    """(N,) which vehicles can be seen well enough to be learned from."""
     boxes = rendered.visible_boxes
     side = (boxes[:, 2:] - boxes[:, :2]).min(axis=1, initial=np.inf)
-    taught = (rendered.visibility >= _MIN_VISIBILITY) & (side >= _MIN_SIDE_PX)
+    return np.asarray((rendered.visibility >= _MIN_VISIBILITY) & (side >= _MIN_SIDE_PX))
+
+
+def labelled(rendered: RenderedView) -> LabelledView:
+    """A rendered view with its truth as labels."""
+    boxes, taught = rendered.visible_boxes, is_taught(rendered)
     seen = (rendered.visibility > 0) & ~taught
     vehicles: Vehicles3D = rendered.vehicles
     return LabelledView(
@@ -66,7 +82,7 @@ def render(seed: int, regime: Regime, count: int, size_px: tuple[int, int]) -> l
     """Views of several sites, numbered from ``seed``."""
     views: list[RenderedView] = []
     while len(views) < count:
-        number = min(_VIEWS_PER_SITE, count - len(views))
+        number = min(VIEWS_PER_SITE, count - len(views))
         views += sample_views(seed + len(views), regime, number, size_px=size_px)
     return views
 
@@ -82,11 +98,22 @@ class PoolPlan:
     steps_per_shard: int
     size_px: tuple[int, int]
 
+    @classmethod
+    def within(
+        cls, steps: int, seed: int, regime: Regime, images: int, shard: int, size_px: tuple[int, int]
+    ) -> PoolPlan:
+        """All views are there after six tenths of the steps of a training."""
+        return cls(seed, regime, images, shard, max(1, int(0.6 * steps) // -(-images // shard)), size_px)
+
+    def due(self, step: int) -> int:
+        """How many views are to be there at a step."""
+        return min(self.images, (step // self.steps_per_shard + 1) * self.shard)
+
     def part(self, number: int, parts: int) -> PoolPlan:
         """What one of several processes renders: other sites than the others do, in the same time."""
         images, shard = (-(-count // parts) for count in (self.images, self.shard))
-        sites = -(-images // _VIEWS_PER_SITE)
-        return replace(self, seed=self.seed + number * sites * _VIEWS_PER_SITE, images=images, shard=shard)
+        sites = -(-images // VIEWS_PER_SITE)
+        return replace(self, seed=self.seed + number * sites * VIEWS_PER_SITE, images=images, shard=shard)
 
 
 class ViewPool:
@@ -102,9 +129,9 @@ class ViewPool:
 
     def grow(self, step: int) -> None:
         """Render the shards due at ``step``."""
-        due = min(self._plan.images, (step // self._plan.steps_per_shard + 1) * self._plan.shard)
+        due = self._plan.due(step)
         while self._rendered < due:
-            count = min(_VIEWS_PER_SITE, due - self._rendered)
+            count = min(VIEWS_PER_SITE, due - self._rendered)
             views = map(
                 labelled, render(self._plan.seed + self._rendered, self._plan.regime, count, self._plan.size_px)
             )
@@ -146,11 +173,9 @@ class _Batches(IterableDataset[Batch]):
         self._plan, self._draw, self._count, self._batch_size, self._seed = plan, draw, count, batch_size, seed
 
     def __iter__(self) -> Iterator[Batch]:
-        process = get_worker_info()
-        number, processes = (process.id, process.num_workers) if process else (0, 1)
-        pool = ViewPool(self._plan.part(number, processes))
-        rng = np.random.default_rng([self._seed, number] if process else self._seed)
-        for step in range(number, self._count, processes):
+        plan, rng, steps = share_of_processes(self._plan, self._seed, self._count)
+        pool = ViewPool(plan)
+        for step in steps:
             pool.grow(step)
             yield Batch.of([self._draw(pool, rng) for _ in range(self._batch_size)])
 
@@ -160,7 +185,20 @@ def batches(plan: PoolPlan, draw: Draw, count: int, batch_size: int, seed: int, 
 
     Other numbers of processes give other batches.
     """
-    data = _Batches(plan, draw, count, batch_size, seed)
+    return ahead(_Batches(plan, draw, count, batch_size, seed), workers)
+
+
+def share_of_processes(plan: PoolPlan, seed: int, count: int) -> tuple[PoolPlan, np.random.Generator, range]:
+    """What this one of several processes that make batches renders, what it draws by, and which of ``count`` batches
+    it makes."""
+    process = get_worker_info()
+    number, processes = (process.id, process.num_workers) if process else (0, 1)
+    rng = np.random.default_rng([seed, number] if process else seed)
+    return plan.part(number, processes), rng, range(number, count, processes)
+
+
+def ahead(data: IterableDataset[AnyBatch], workers: int) -> Iterable[AnyBatch]:
+    """The same batches, made by so many processes ahead of what takes them; 0: made when they are taken."""
     if not workers:
         return data
     # a fork would inherit OpenCV's threads as they stand, and hang
@@ -216,9 +254,9 @@ class Schedule:
 
 def pretrain(
     network: Network,
-    data: Iterable[Batch],
+    data: Iterable[AnyBatch],
     schedule: Schedule,
-    losses: Callable[[Network, Batch], dict[str, Tensor]],
+    losses: Callable[[Network, AnyBatch], dict[str, Tensor]],
     checkpoint: Callable[[Network, int], dict[str, Any]],
     log_path: Path,
     clock: Callable[[], float],
@@ -263,12 +301,12 @@ def pretrain(
     return averaged.network
 
 
-def add_options(parser: argparse.ArgumentParser, *, steps: int, images: int) -> None:
+def add_options(parser: argparse.ArgumentParser, *, steps: int, images: int, batch: int = 8) -> None:
     """What can be chosen for any network."""
     parser.add_argument("--steps", type=int, default=steps)
     parser.add_argument("--images", type=int, default=images, help="views that are rendered in all")
     parser.add_argument("--shard", type=int, default=200, help="views that are rendered at a time")
-    parser.add_argument("--batch", type=int, default=8, help="images a step")
+    parser.add_argument("--batch", type=int, default=batch, help="images a step")
     parser.add_argument("--learning-rate", type=float, default=2e-3)
     parser.add_argument("--checkpoint-every", type=int, default=500, metavar="STEPS")
     parser.add_argument("--seed", type=int, default=0)

@@ -52,10 +52,39 @@ def test_edges_become_sharper_and_the_background_helps(views: list[RenderedView]
     assert with_background < without < before
 
 
+def test_it_reaches_for_what_is_hidden_and_says_how_uncertain_that_is(views: list[RenderedView]) -> None:
+    rng = np.random.default_rng(3)
+    refiner = EdgeRefiner()
+    seen, whole, sd, hidden = [], [], [], []
+    for view in [*views, *sample_views(42, "site", 10, (640, 360))]:
+        boxes = view.visible_boxes
+        sides = np.tile(boxes[:, 2:] - boxes[:, :2], 2)
+        enough = (view.visibility > 0.3) & (sides.min(axis=1) >= SIDE_PX)
+        boxes, sides = boxes[enough], sides[enough]
+        wrong = np.clip(boxes + rng.normal(0, 0.04, boxes.shape) * sides, -0.5, np.array([640, 360] * 2) - 0.5)
+        given = Found(wrong, np.ones(len(boxes)), np.zeros(len(boxes), np.int64))
+        background = StillBackground(view.still, np.full(view.image.shape[:2], 255, np.uint8))
+        found = refiner.refine(view.image, background, given, **OPTIONS)
+        true = view.amodal_boxes[enough]
+        seen.append(np.abs(boxes - true) / sides)
+        whole.append(np.abs(found.amodal_boxes - true) / sides)
+        sd.append(found.amodal_sd / sides)
+        hidden.append(seen[-1] > 0.08)
+        assert (found.amodal_sd > 0).all()
+    behind = np.concatenate(hidden)
+    of_seen, of_whole, stated = (np.concatenate(parts) for parts in (seen, whole, sd))
+    assert behind.sum() > 20
+    assert of_whole[behind].mean() < 0.6 * of_seen[behind].mean()
+    assert of_whole[~behind].mean() < 0.05
+    assert stated[behind].mean() > 2 * stated[~behind].mean()
+    assert 0.5 < (of_whole / stated)[behind].mean() < 1.3
+
+
 def test_no_boxes_are_no_boxes(views: list[RenderedView]) -> None:
     none = Found(np.empty((0, 4)), np.empty(0), np.empty(0, np.int64))
     image = views[0].image
-    assert len(EdgeRefiner().refine(image, StillBackground(image, image[..., 0]), none, **OPTIONS).boxes) == 0
+    found = EdgeRefiner().refine(image, StillBackground(image, image[..., 0]), none, **OPTIONS)
+    assert found.boxes.shape == found.amodal_boxes.shape == found.amodal_sd.shape == (0, 4)
 
 
 def test_boxes_stay_sound_whatever_the_image_shows(views: list[RenderedView]) -> None:

@@ -50,9 +50,12 @@ def problem(
     weight = np.concatenate(
         [np.zeros((b, 2)), prior * np.tile(LOG_SIZE_SD[k] ** -2.0, (b, 1)), np.zeros((b, 1))], axis=1
     )
+    boxes = template_boxes(rig, parameters, body)
+    sides = np.tile(boxes[..., 2:] - boxes[..., :2], 2)
     return FitProblem(
         cameras[torch.arange(v).expand(b, v)],
-        torch.as_tensor(template_boxes(rig, parameters, body), dtype=dtype),
+        torch.as_tensor(boxes, dtype=dtype),
+        torch.as_tensor(np.hypot(1.0, 0.03 * sides), dtype=dtype),
         torch.ones(b, v, dtype=torch.bool),
         torch.ones(b, v, 4, dtype=torch.bool),
         torch.zeros(b, v, 2, dtype=torch.bool),
@@ -192,3 +195,21 @@ def test_too_few_edges_tell_no_noise() -> None:
     truth = random_vehicles(2)
     p = problem(truth)
     assert noise_of(p, evaluate(p, torch.as_tensor(truth, dtype=torch.float32))) == 1.0
+
+
+def test_an_edge_that_is_only_guessed_does_not_count_against_a_fit_that_is_near() -> None:
+    truth = random_vehicles(20)
+    p = problem(truth, prior=1e-3)
+    width = p.boxes[..., 2] - p.boxes[..., 0]
+    off = torch.zeros_like(p.boxes)
+    off[..., 2] = 0.3 * width
+
+    def overlap(share: float) -> torch.Tensor:
+        sd = p.edge_sd.clone()
+        sd[..., 2] = share * width
+        at_truth = torch.as_tensor(truth, dtype=p.boxes.dtype)
+        return evaluate(replace(p, boxes=p.boxes + off, edge_sd=sd), at_truth).view_giou
+
+    assert overlap(0.2).min() > 0.99
+    assert overlap(0.03).max() < 0.85
+    assert overlap(0.1).max() < overlap(0.2).min(), "0.2 of the side is near, and 0.1 is left"

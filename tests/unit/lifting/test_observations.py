@@ -4,7 +4,7 @@ import numpy as np
 
 from tests.builders import corner_rig
 from tests.multiview import crossing
-from wibam_core.lifting.observations import cut_by_border, hidden_by_nearer, observe
+from wibam_core.lifting.observations import Observations, cut_by_border, hidden_by_nearer, observe
 from wibam_core.scene import AnnotatedInstant, Detections2D, MultiViewVehicle, VehicleClass
 
 
@@ -60,6 +60,28 @@ def test_observations_hold_every_view_of_vehicles_with_enough_views() -> None:
             camera_id = list(scene.rig)[seen.cameras[row, slot]]
             box = scene.instants[i].detections[camera_id].boxes[vehicle.views[camera_id]]
             assert np.array_equal(seen.boxes[row, slot], box)
+
+
+def test_amodal_edges_are_compared_by_what_they_state_even_where_a_nearer_vehicle_hides_them() -> None:
+    far, near = [100.0, 100, 180, 140], [150.0, 90, 260, 170]
+    amodal = np.array([[100.0, 100, 190, 140], near])
+    sd = np.array([[1.0, 2, 9, 2], [1, 1, 1, 1]])
+    vehicles = (
+        MultiViewVehicle(0, 3, VehicleClass.CAR, 30.0, 30.0, {"cam1": 0}),
+        MultiViewVehicle(1, 4, VehicleClass.CAR, 10.0, 10.0, {"cam1": 1}),
+    )
+
+    def edges(*known: np.ndarray) -> Observations:
+        seen = Detections2D("cam1", 0, np.array([far, near]), np.ones(2), np.zeros(2, np.int64), *known)
+        return observe([AnnotatedInstant(0, {"cam1": seen}, vehicles)], corner_rig(), 1)
+
+    plain, known = edges(), edges(amodal, sd)
+    hidden = int(plain.positions[:, 0].argmax())
+    assert plain.exact[hidden, 0].tolist() == [True, False, False, False]
+    assert np.allclose(plain.edge_sd[hidden, 0], np.hypot(1.0, [0.03 * 80, 0.03 * 40] * 2))
+    assert known.exact[hidden, 0].all()
+    assert known.boxes[hidden, 0].tolist() == amodal[0].tolist()
+    assert np.allclose(known.edge_sd[hidden, 0], np.hypot(0.3, sd[0]))
 
 
 def test_lateness_is_the_exposure_after_the_instant() -> None:

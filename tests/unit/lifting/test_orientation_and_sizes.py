@@ -21,6 +21,7 @@ def observations(tracks: np.ndarray) -> Observations:
         cameras=np.zeros((n, 1), np.int64),
         seen=np.zeros((n, 1), bool),
         boxes=np.zeros((n, 1, 4)),
+        edge_sd=np.ones((n, 1, 4)),
         exact=np.zeros((n, 1, 4), bool),
         cut=np.zeros((n, 1, 2), bool),
         lateness_s=late,

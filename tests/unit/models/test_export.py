@@ -47,13 +47,13 @@ def test_the_exported_refiner_agrees_with_the_network_for_any_number_of_crops(tm
     torch.manual_seed(0)
     refiner = Refiner2D().eval()
     path = tmp_path / "refiner.onnx"
-    export_refiner2d(refiner, path, 64)
+    export_refiner2d(refiner, path, 96)
     session = onnxruntime.InferenceSession(str(path), providers=["CPUExecutionProvider"])
     assert session.get_modelmeta().custom_metadata_map["family"] == "wibam-edges"
     for count in (1, 5):
-        crops = torch.rand(count, 7, 64, 64)
+        crops = torch.rand(count, 7, 96, 96)
         with torch.inference_mode():
             wanted = refiner(crops)
-        given = session.run(["edges", "log_scale", "classes"], {"image": crops.numpy()})
+        given = session.run(["edges", "reach", "log_scale", "classes"], {"image": crops.numpy()})
         for mine, theirs in zip(given, wanted, strict=True):
             np.testing.assert_allclose(mine, theirs.numpy(), atol=1e-4)
