@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import NamedTuple
+from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
@@ -19,7 +20,8 @@ UNKNOWN = 128
 _STRIP = 32
 
 
-class StillBackground(NamedTuple):
+@dataclass(frozen=True, eq=False)
+class StillBackground:
     """A camera's view without vehicles.
 
     Attributes:
@@ -29,6 +31,11 @@ class StillBackground(NamedTuple):
 
     image: Image
     known: Image
+
+    @cached_property
+    def layers(self) -> Image:
+        """(H, W, 4) uint8: image and known."""
+        return np.dstack([self.image, self.known])
 
 
 def still_background(images: Sequence[Image], boxes: Sequence[FloatArray]) -> StillBackground:

@@ -60,19 +60,17 @@ def crop(image: Image, window: Window) -> NDArray[np.uint8]:
     return np.asarray(resized, dtype=np.uint8)
 
 
-def blob(image: Image, background: Image, known: Image, boxes: FloatArray) -> tuple[NDArray[np.float32], list[Window]]:
+def blob(image: Image, still: Image, boxes: FloatArray) -> tuple[NDArray[np.float32], list[Window]]:
     """Crops (N, 7, 96, 96) of the image, the background and where that is known, and their windows.
 
     Args:
         image: (H, W, 3) uint8, BGR.
-        background: the same without vehicles.
-        known: (H, W) uint8, 255 where the background is known, else 0.
+        still: (H, W, 4) uint8: the same without vehicles, and 255 where that is known, else 0.
         boxes: (N, 4) xyxy, px.
     """
     windows = [window(box) for box in boxes]
-    still = np.dstack([background, known])
     crops = np.empty((len(boxes), 7, CROP_PX, CROP_PX), np.float32)
     for row, where in enumerate(windows):
-        both = np.concatenate([crop(image, where), crop(still, where)], axis=2)
-        np.divide(both.transpose(2, 0, 1), 255.0, out=crops[row], casting="unsafe")
+        for channel, values in enumerate((*cv2.split(crop(image, where)), *cv2.split(crop(still, where)))):
+            np.divide(values, 255.0, out=crops[row, channel], casting="unsafe")
     return crops, windows

@@ -65,7 +65,7 @@ class EdgeRefiner:
         limits = np.array([image_bgr.shape[1], image_bgr.shape[0]] * 2) - 0.5
         boxes, classes = found.boxes, found.classes
         for _ in range(_PASSES):
-            crops, windows = blob(image_bgr, background.image, background.known, boxes)
+            crops, windows = blob(image_bgr, background.layers, boxes)
             edges, reach, log_scale, logits = (
                 values.astype(np.float64) for values in self._session.run(_OUTPUTS, {"image": crops})
             )

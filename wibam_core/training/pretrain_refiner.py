@@ -151,7 +151,7 @@ def sample(patch: Patch, rng: np.random.Generator) -> tuple[NDArray[np.float32],
         image, still, known = (np.ascontiguousarray(part[:, ::-1]) for part in (image, still, known))
         boxes = np.stack([width - 1 - boxes[:, 2], boxes[:, 1], width - 1 - boxes[:, 0], boxes[:, 3]], axis=1)
     given = jittered(boxes[0], (width, height), rng)
-    crops, windows = blob(image, still, known[..., 0], given[None])
+    crops, windows = blob(image, np.dstack([still, known]), given[None])
     return crops[0], *windows[0].to_shares(boxes)
 
 
@@ -206,8 +206,7 @@ def measure(network: Refiner2D, found: list[Patch]) -> dict[str, Any]:
     for patch in found:
         height, width = patch.pixels.shape[:2]
         given = jittered(patch.seen, (width, height), rng)
-        image, still, known = np.split(patch.pixels, [3, 6], axis=2)
-        crops, windows = blob(image, still, known[..., 0], given[None])
+        crops, windows = blob(patch.pixels[..., :3], patch.pixels[..., 3:], given[None])
         with torch.inference_mode():
             said = network(torch.from_numpy(crops).to(device))
         sides = np.tile(patch.seen[2:] - patch.seen[:2], 2)

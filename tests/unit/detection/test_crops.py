@@ -32,6 +32,6 @@ def test_beyond_the_image_its_border_goes_on(where: Window):
 def test_the_channels_are_image_background_and_known():
     image, still = np.full((30, 40, 3), 51, np.uint8), np.full((30, 40, 3), 102, np.uint8)
     known = np.full((30, 40), 255, np.uint8)
-    crops, windows = blob(image, still, known, np.array([[5.0, 5.0, 20.0, 20.0]]))
+    crops, windows = blob(image, np.dstack([still, known]), np.array([[5.0, 5.0, 20.0, 20.0]]))
     assert crops.shape == (1, 7, CROP_PX, CROP_PX) and len(windows) == 1
     np.testing.assert_allclose(crops[0].reshape(7, -1).mean(axis=1), [0.2] * 3 + [0.4] * 3 + [1.0], atol=1e-6)
