@@ -41,8 +41,9 @@ _YAW_STARTS = 4
 _HIDDEN_NOISE = 1.5
 #: Fits from which the detector's noise is estimated.
 _NOISE_SAMPLE = 400
-#: A track that enough cameras saw at this many instants has a known size, and is followed where fewer see it.
-_SIGHTINGS_FOR_SIZE = 5
+#: A track that was seen at this many instants is fitted where too few cameras see it, too: by a size that its class and
+#: all its sightings tell.
+_SIGHTINGS_TO_FIT = 5
 #: Fits that fewer cameras see than asked for must be as certain as this, m.
 _FEW_VIEWS_SD_M = 0.5
 
@@ -76,7 +77,8 @@ def lift(
 ) -> LiftResult:
     """Fit every vehicle that enough cameras see, using its whole track.
 
-    Where fewer see it, a vehicle is fitted too if its size is known from elsewhere in its track and its place certain.
+    Where fewer see it, a vehicle is fitted too if it was seen for long enough and its place is certain: far from the
+    middle of a site, a vehicle is often in one camera's sight alone all the time.
 
     Args:
         instants: associated, in order of time. The denser, the better the motion.
@@ -167,11 +169,10 @@ def _moved(camera: Camera, shift_m: FloatArray) -> Camera:
 
 
 def _worth_fitting(seen: Observations, min_views: int) -> Observations:
-    """Vehicles in enough views, and sightings in fewer views of those seen so often enough; all in tracks."""
-    enough = (seen.seen.sum(axis=1) >= min_views) & (seen.tracks >= 0)
-    count = np.bincount(seen.tracks[enough], minlength=int(seen.tracks.max(initial=-1)) + 1)
-    known = (seen.tracks >= 0) & (count[seen.tracks] >= _SIGHTINGS_FOR_SIZE)
-    return seen.where(enough | known)
+    """Vehicles in enough views, and those in fewer whose tracks are long enough; all in tracks."""
+    linked = seen.tracks >= 0
+    count = np.bincount(seen.tracks[linked], minlength=int(seen.tracks.max(initial=-1)) + 1)
+    return seen.where(linked & ((seen.seen.sum(axis=1) >= min_views) | (count[seen.tracks] >= _SIGHTINGS_TO_FIT)))
 
 
 def _headings(tracks: Tracks, motion: Motion, jump_m: float, count: int) -> tuple[FloatArray, FloatArray]:

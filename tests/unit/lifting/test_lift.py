@@ -152,11 +152,32 @@ def test_a_hint_turns_only_vehicles_that_never_move() -> None:
         LiftConfig(max_residual=1.0),
         heading_hints={int(i): float(box[6] + np.pi) for i, box in zip(plain.ids, plain.boxes, strict=True)},
     ).vehicles[0]
-    assert tracks
+    both = sorted(set(plain.ids.tolist()) & set(turned.ids.tolist()))
+    assert tracks and tracks <= set(both)
+    plain, turned = (v.where(np.array([v.ids.tolist().index(i) for i in both])) for v in (plain, turned))
     assert (plain.sd[:, 6] > 1).all(), "nothing tells front from rear"
     assert (turned.sd[:, 6] < 1).all()
     apart = np.abs((turned.boxes[:, 6] - plain.boxes[:, 6] + np.pi) % (2 * np.pi) - np.pi)
     assert (apart > 2).all()
+
+
+def test_what_one_camera_alone_sees_all_the_time_is_lifted_too() -> None:
+    scene = crossing()
+    alone = [
+        replace(
+            instant,
+            vehicles=tuple(replace(v, views=dict([min(v.views.items())])) for v in instant.vehicles),
+        )
+        for instant in scene.instants
+    ]
+    found = against_truth(lift(alone, scene.rig, LiftConfig()).vehicles, alone)
+    assert len(found["box"]) > 0.4 * len(against_truth(lifted(True).vehicles, scene.instants)["box"])
+    assert (found["views"] == 1).all()
+    off = np.hypot(*(found["box"] - found["truth"])[:, :2].T)
+    assert off.mean() < 0.6
+    assert np.median(np.hypot(*found["sd"][:, :2].T)) > 0.5 * np.median(off), "and says how uncertain it is"
+    few = lift(alone[:4], scene.rig, LiftConfig())
+    assert few.statistics["fits"] == 0, "too short to tell anything"
 
 
 def test_a_residual_limit_leaves_fits_out() -> None:
