@@ -1,4 +1,4 @@
-"""What both pre-training scripts share: a pool of rendered views, a schedule, averaged weights, and a log."""
+"""What the pre-training scripts share: a pool of rendered views, a schedule, averaged weights, and a log."""
 
 from __future__ import annotations
 
