@@ -77,8 +77,7 @@ def lift(
 ) -> LiftResult:
     """Fit every vehicle that enough cameras see, using its whole track.
 
-    Where fewer see it, a vehicle is fitted too if it was seen for long enough and its place is certain: far from the
-    middle of a site, a vehicle is often in one camera's sight alone all the time.
+    Where fewer see it, a vehicle is fitted too if it was seen for long enough and its place is certain.
 
     Args:
         instants: associated, in order of time. The denser, the better the motion.

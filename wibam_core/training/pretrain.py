@@ -9,7 +9,6 @@ cameras without ever seeing an elevated one. Elevated views are only ever measur
 from __future__ import annotations
 
 import argparse
-import time
 from collections.abc import Iterator
 from dataclasses import replace
 from functools import partial
@@ -17,7 +16,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import torch
 from torch import Tensor
 
 from wibam_core.models.decode import Decode
@@ -26,19 +24,20 @@ from wibam_core.models.small import SmallNetwork
 from wibam_core.models.weights import load_network, save_network
 from wibam_core.synthetic.sampling import RenderedView
 from wibam_core.training.augment import compress, cut_out, jitter_colour, mirror, rewarp, turn_camera
-from wibam_core.training.device import Precision, choose_device
+from wibam_core.training.device import Precision
 from wibam_core.training.losses import LossWeights, lifted_loss
 from wibam_core.training.pretraining import (
+    LOG,
     Batch,
     PoolPlan,
-    Schedule,
     ViewPool,
     add_options,
     append_log,
     batches,
     labelled,
     plain_camera,
-    pretrain,
+    prepare,
+    pretrain_as_asked,
     render,
 )
 from wibam_core.training.validation import ViewResult, measure
@@ -124,10 +123,7 @@ def main() -> None:
     parser.add_argument("--zoom", type=float, nargs=2, default=(0.85, 1.8), help="of the trained against the rendered")
     parser.add_argument("--start", type=Path, help="weights to go on from; with --steps 0 they are only measured")
     arguments = parser.parse_args()
-    device = choose_device(arguments.device, "--device")
-    torch.set_num_threads(arguments.threads)
-    torch.manual_seed(arguments.seed)
-    arguments.out.mkdir(parents=True, exist_ok=True)
+    device = prepare(arguments)
     network = load_network(arguments.start) if arguments.start else SmallNetwork()
     validation = render(VALIDATION_SEED, "ego", arguments.views, _MEASURED_PX)
     site = render(SITE_REPORT_SEED, "site", arguments.views, _MEASURED_PX)
@@ -151,21 +147,12 @@ def main() -> None:
         save_network(averaged, arguments.out / "mono_small.safetensors")
         return figures(averaged)
 
-    log_path = arguments.out / "log.jsonl"
     if arguments.steps == 0:
-        append_log(log_path, figures(network.to(device)))
+        append_log(arguments.out / LOG, figures(network.to(device)))
         return
     draw = partial(augmented, zoom=(arguments.zoom[0], arguments.zoom[1]))
-    pretrain(
-        network,
-        batches(plan, draw, arguments.steps, arguments.batch, arguments.seed, arguments.workers),
-        Schedule(arguments.steps, arguments.learning_rate, 50, arguments.checkpoint_every),
-        losses,
-        checkpoint,
-        log_path,
-        time.monotonic,
-        device,
-    )
+    data = batches(plan, draw, arguments.steps, arguments.batch, arguments.seed, arguments.workers)
+    pretrain_as_asked(arguments, network, data, losses, checkpoint, device)
 
 
 if __name__ == "__main__":

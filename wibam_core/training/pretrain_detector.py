@@ -6,7 +6,6 @@ python -m wibam_core.training.pretrain_detector --out build/pretrain_detector --
 from __future__ import annotations
 
 import argparse
-import time
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -23,18 +22,18 @@ from wibam_core.models.inference import to_input
 from wibam_core.models.trunk import STRIDE
 from wibam_core.synthetic.sampling import RenderedView
 from wibam_core.training.augment import compress, cut_out, jitter_colour, mirror, rewarp
-from wibam_core.training.device import Precision, choose_device
+from wibam_core.training.device import Precision
 from wibam_core.training.losses import focal_loss
 from wibam_core.training.pretraining import (
     Batch,
     PoolPlan,
-    Schedule,
     ViewPool,
     add_options,
     batches,
     labelled,
     plain_camera,
-    pretrain,
+    prepare,
+    pretrain_as_asked,
     render,
 )
 from wibam_core.training.views import FloatArray, LabelledView
@@ -122,10 +121,7 @@ def main() -> None:
     parser.add_argument("--out", type=Path, default=Path("build/pretrain_detector"), help="folder for weights and log")
     add_options(parser, steps=3000, images=1200)
     arguments = parser.parse_args()
-    device = choose_device(arguments.device, "--device")
-    torch.set_num_threads(arguments.threads)
-    torch.manual_seed(arguments.seed)
-    arguments.out.mkdir(parents=True, exist_ok=True)
+    device = prepare(arguments)
     validation = render(VALIDATION_SEED, "elevated", 80, (WIDTH_PX, HEIGHT_PX))
     plan = PoolPlan.within(
         arguments.steps, TRAINING_SEED + arguments.seed, "elevated", arguments.images, arguments.shard, RENDERED_PX
@@ -135,16 +131,8 @@ def main() -> None:
         export_detector2d(averaged, arguments.out / "detector2d.onnx")
         return {"elevated": measure_views(averaged, validation)}
 
-    pretrain(
-        Detector2D(),
-        batches(plan, augmented, arguments.steps, arguments.batch, arguments.seed, arguments.workers),
-        Schedule(arguments.steps, arguments.learning_rate, 50, arguments.checkpoint_every),
-        losses,
-        checkpoint,
-        arguments.out / "log.jsonl",
-        time.monotonic,
-        device,
-    )
+    data = batches(plan, augmented, arguments.steps, arguments.batch, arguments.seed, arguments.workers)
+    pretrain_as_asked(arguments, Detector2D(), data, losses, checkpoint, device)
 
 
 if __name__ == "__main__":

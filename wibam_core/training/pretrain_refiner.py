@@ -6,8 +6,7 @@ python -m wibam_core.training.pretrain_refiner --out build/pretrain_refiner --st
 from __future__ import annotations
 
 import argparse
-import time
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterator
 from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import Any
@@ -26,15 +25,15 @@ from wibam_core.models.export import export_refiner2d
 from wibam_core.models.refiner2d import Refiner2D
 from wibam_core.synthetic.sampling import RenderedView
 from wibam_core.training.augment import compress, jitter_colour
-from wibam_core.training.device import Precision, choose_device
+from wibam_core.training.device import Precision
 from wibam_core.training.pretraining import (
     VIEWS_PER_SITE,
     PoolPlan,
-    Schedule,
     add_options,
     ahead,
     is_taught,
-    pretrain,
+    prepare,
+    pretrain_as_asked,
     render,
     share_of_processes,
 )
@@ -238,12 +237,9 @@ def main() -> None:
     parser.add_argument("--out", type=Path, default=Path("build/pretrain_refiner"), help="folder for weights and log")
     add_options(parser, steps=5000, images=4000, batch=64)
     arguments = parser.parse_args()
-    device = choose_device(arguments.device, "--device")
-    torch.set_num_threads(arguments.threads)
-    torch.manual_seed(arguments.seed)
-    arguments.out.mkdir(parents=True, exist_ok=True)
+    device = prepare(arguments)
     validation = patches(VALIDATION_SEED, VALIDATION_VIEWS)
-    plan = PoolPlan.within(
+    plan = PoolPlan.within(  # but for the size: `patches` lets sites take turns
         arguments.steps, TRAINING_SEED + arguments.seed, "elevated", arguments.images, arguments.shard, SIZES_PX[0]
     )
 
@@ -251,19 +247,8 @@ def main() -> None:
         export_refiner2d(averaged, arguments.out / "refiner2d.onnx", CROP_PX)
         return measure(averaged, validation)
 
-    data: Iterable[Crops] = ahead(
-        CropBatches(plan, arguments.steps, arguments.batch, arguments.seed), arguments.workers
-    )
-    pretrain(
-        Refiner2D(),
-        data,
-        Schedule(arguments.steps, arguments.learning_rate, 50, arguments.checkpoint_every),
-        losses,
-        checkpoint,
-        arguments.out / "log.jsonl",
-        time.monotonic,
-        device,
-    )
+    data = ahead(CropBatches(plan, arguments.steps, arguments.batch, arguments.seed), arguments.workers)
+    pretrain_as_asked(arguments, Refiner2D(), data, losses, checkpoint, device)
 
 
 if __name__ == "__main__":

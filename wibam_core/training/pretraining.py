@@ -6,6 +6,7 @@ import argparse
 import copy
 import json
 import math
+import time
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -22,7 +23,7 @@ from wibam_core.errors import NonFiniteLoss
 from wibam_core.geometry.camera import Camera
 from wibam_core.scene import Vehicles3D
 from wibam_core.synthetic.sampling import Regime, RenderedView, sample_views
-from wibam_core.training.device import Precision
+from wibam_core.training.device import Precision, choose_device
 from wibam_core.training.targets import Targets, encode
 from wibam_core.training.views import LabelledView
 
@@ -33,6 +34,9 @@ _MIN_SIDE_PX = 6.0
 _JPEG_QUALITY = 95
 #: Rendered views share a site by so many.
 VIEWS_PER_SITE = 20
+
+#: Name of the log in the folder of a script's outputs.
+LOG = "log.jsonl"
 
 #: One in this many views without a vehicle is kept.
 _KEPT_EMPTY = 5
@@ -313,6 +317,29 @@ def add_options(parser: argparse.ArgumentParser, *, steps: int, images: int, bat
     parser.add_argument("--threads", type=int, default=1)
     parser.add_argument("--workers", type=int, default=0, help="processes that render and draw; 0: training's own")
     parser.add_argument("--device", choices=("auto", "cpu", "cuda"), default="cpu")
+
+
+def prepare(arguments: argparse.Namespace) -> torch.device:
+    """Seed torch, make the folder ``--out``, and choose the device, as the options say."""
+    device = choose_device(arguments.device, "--device")
+    torch.set_num_threads(arguments.threads)
+    torch.manual_seed(arguments.seed)
+    arguments.out.mkdir(parents=True, exist_ok=True)
+    return device
+
+
+def pretrain_as_asked(
+    arguments: argparse.Namespace,
+    network: Network,
+    data: Iterable[AnyBatch],
+    losses: Callable[[Network, AnyBatch], dict[str, Tensor]],
+    checkpoint: Callable[[Network, int], dict[str, Any]],
+    device: torch.device,
+) -> Network:
+    """`pretrain` by the options of `add_options`; the log goes to the folder ``--out``."""
+    schedule = Schedule(arguments.steps, arguments.learning_rate, 50, arguments.checkpoint_every)
+    log_path = arguments.out / LOG
+    return pretrain(network, data, schedule, losses, checkpoint, log_path, time.monotonic, device)
 
 
 def append_log(path: Path, record: dict[str, Any]) -> None:

@@ -1,5 +1,7 @@
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -28,6 +30,17 @@ def test_opposite_cameras_agree() -> None:
     car = np.array([[3.0, -2.0, 0.67, 4.3, 1.8, 1.34, 0.4]])
     points = np.concatenate([ground_points(c, detections(project_boxes(c, car))) for c in rig.values()])
     assert np.ptp(points, axis=0).max() < 0.8
+
+
+def test_what_something_hides_is_placed_by_its_amodal_box() -> None:
+    camera = look_at((0.0, -25.0, 8.0), focal_px=600)
+    car = np.array([[2.0, 3.0, 0.67, 4.3, 1.8, 1.34, 0.3]])
+    whole = project_boxes(camera, car)
+    half = whole.copy()
+    half[:, 2] = whole[:, ::2].mean(axis=1)
+    plain, seen = detections(half), replace(detections(half), amodal_boxes=whole, amodal_sd=np.ones((1, 4)))
+    assert np.linalg.norm(ground_points(camera, plain) - car[:, :2]) > 0.9
+    assert np.linalg.norm(ground_points(camera, seen) - car[:, :2]) < 0.3
 
 
 def test_boxes_above_the_horizon_have_no_ground_point() -> None:

@@ -5,6 +5,8 @@ import pytest
 
 from wibam_core.config import DetectConfig
 from wibam_core.detection.background import StillBackground, still_background
+from wibam_core.detection.boxes import Found
+from wibam_core.detection.refine import EdgeRefiner
 from wibam_core.formats.framestore import FrameStore, FrameStoreWriter
 from wibam_core.progress import silent
 from wibam_core.scene import AnnotatedInstant, Detections2D
@@ -20,9 +22,11 @@ from wibam_core.synthetic.sampling import sample_moment
 S = 10**9
 SIZE, NATIVE = (640, 360), (1280, 720)
 
+Recorded = tuple[FrameStore, list[AnnotatedInstant], list[np.ndarray]]
+
 
 @pytest.fixture(scope="module")
-def recorded(tmp_path_factory: pytest.TempPathFactory) -> tuple[FrameStore, list[AnnotatedInstant], list[np.ndarray]]:
+def recorded(tmp_path_factory: pytest.TempPathFactory) -> Recorded:
     """Frames at half the recording's size, wrong boxes in the recording's pixels, and the right ones."""
     folder = tmp_path_factory.mktemp("frames")
     rng = np.random.default_rng(3)
@@ -50,7 +54,7 @@ def recorded(tmp_path_factory: pytest.TempPathFactory) -> tuple[FrameStore, list
 
 
 def test_convention_edges_are_in_pixels_of_the_recording(
-    recorded: tuple[FrameStore, list[AnnotatedInstant], list[np.ndarray]],
+    recorded: Recorded,
 ) -> None:
     store, instants, truth = recorded
     refined = list(refine_all(store, instants, DetectConfig(), silent))
@@ -68,8 +72,21 @@ def test_convention_edges_are_in_pixels_of_the_recording(
     assert refined[3].detections["a"].frame_time_ns == instants[3].detections["a"].frame_time_ns
 
 
+def test_convention_amodal_edges_and_their_deviations_are_in_pixels_of_the_recording(recorded: Recorded) -> None:
+    store, instants, _ = recorded
+    refined = list(refine_all(store, instants, DetectConfig(), silent))
+    background = edges._background(store, instants, "a")
+    for instant, after in zip(instants, refined, strict=True):
+        seen, native = instant.detections["a"], after.detections["a"]
+        given = Found(store.to_stored_px("a", seen.boxes), seen.scores, seen.classes)
+        image = store.image("a", instant.time_ns)
+        stored = EdgeRefiner().refine(image, background, given, nms_iou=DetectConfig().nms_iou, classify=True)
+        np.testing.assert_allclose(native.amodal_boxes, (stored.amodal_boxes + 0.5) * 2 - 0.5)
+        np.testing.assert_allclose(native.amodal_sd, stored.amodal_sd * 2)
+
+
 def test_progress_rises_to_one_and_frames_without_boxes_are_kept(
-    recorded: tuple[FrameStore, list[AnnotatedInstant], list[np.ndarray]],
+    recorded: Recorded,
 ) -> None:
     store, instants, _ = recorded
     empty = Detections2D("a", S + 5, np.empty((0, 4)), np.empty(0), np.empty(0, np.int64))
@@ -83,7 +100,7 @@ def test_progress_rises_to_one_and_frames_without_boxes_are_kept(
 
 
 def test_other_detectors_keep_their_classes(
-    recorded: tuple[FrameStore, list[AnnotatedInstant], list[np.ndarray]],
+    recorded: Recorded,
 ) -> None:
     store, instants, _ = recorded
     trucks = []
@@ -103,9 +120,7 @@ def test_other_detectors_keep_their_classes(
     assert (own == 0).mean() > 0.5  # most of them are cars
 
 
-def test_a_block_of_minutes_has_its_own_background(
-    recorded: tuple[FrameStore, list[AnnotatedInstant], list[np.ndarray]], monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_block_of_minutes_has_its_own_background(recorded: Recorded, monkeypatch: pytest.MonkeyPatch) -> None:
     store, instants, _ = recorded
     made: list[int] = []
 
