@@ -54,7 +54,7 @@ def row(site: Site, run: Run) -> Figures:
     share = run["share"]
     about: Figures = {"chosen_on": site.number in CHOSEN_ON, "minutes": share * site.minutes, "vehicles": 0}
     if share == 0:
-        return {**about, **figures(site, untrained(site, "plane"))}
+        return {**about, **figures(site, untrained(site, site.usual_decode))}
     train, validation = (views(site, part, site.lifts) for part in ("train", "val"))
     times = site.split.times_ns["train"]
     last_ns = times[max(1, round(share * len(times))) - 1]

@@ -1,9 +1,10 @@
 """What detecting vehicles in images costs beside the network alone, in torch and in ONNX Runtime.
 
-Per way of running the small network: the time from images to boxes (resizing, network, decoding, duplicates) over the
-network's own on prepared input, both in CPU time on one thread; ONNX Runtime's over torch's; images per second. Images
-are simulated, of the size that the service stores. All are timed in turn, round by round; printed is the median of the
-rounds with its quartiles. Where there is a GPU, images per second there follow, by the clock.
+Per way of running the small network: the time from images to boxes (resizing, network, duplicates, decoding) over the
+network's own on prepared input, both in CPU time on one thread, without a second look at the vehicles ("fitted") and
+with it ("refined"), which takes as much longer as there are vehicles; ONNX Runtime's over torch's; images per second.
+Images are simulated, of the size that the service stores. All are timed in turn, round by round; printed is the median
+of the rounds with its quartiles. Where there is a GPU, images per second there follow, by the clock.
 
 Run: python benchmarks/inference.py [--rounds 30] [--images 16] [--batch 8] [--weights FILE.safetensors]
 """
@@ -14,6 +15,7 @@ import argparse
 import time
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 
 import cv2
@@ -22,6 +24,7 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
+from wibam_core.models.decode import Decode
 from wibam_core.models.inference import Frame, RunnableNetwork, predict, prepare_image, to_input
 from wibam_core.models.onnx_network import OnnxNetwork
 from wibam_core.models.small import SmallNetwork
@@ -29,6 +32,7 @@ from wibam_core.models.weights import bundled, load_network
 from wibam_core.synthetic.sampling import sample_views
 
 SIZE_PX = (960, 540)
+DECODES: tuple[Decode, ...] = ("fitted", "refined")
 MIN_SCORE = 0.1
 SEED = 900_001
 
@@ -67,15 +71,16 @@ def timed(work: Callable[[], object], clock: Callable[[], float]) -> float:
 def measure(
     ways: list[Way], frames: list[Frame], batch: int, rounds: int, clock: Callable[[], float]
 ) -> dict[str, dict[str, NDArray[np.float64]]]:
-    """Seconds (rounds,) of "forward" and "boxes" over all images, by way."""
-    taken: dict[str, dict[str, list[float]]] = {way.name: {"forward": [], "boxes": []} for way in ways}
+    """Seconds (rounds,) of "forward", and to boxes by each of `DECODES`, over all images, by way."""
+    taken: dict[str, dict[str, list[float]]] = {way.name: {name: [] for name in ("forward", *DECODES)} for way in ways}
     for number in range(rounds + 2):
         for way in ways:
 
-            def boxes(network: RunnableNetwork = way.network) -> None:
-                list(predict(network, frames, decode="fitted", min_score=MIN_SCORE, batch_size=batch))
+            def boxes(decode: Decode, network: RunnableNetwork = way.network) -> None:
+                list(predict(network, frames, decode=decode, min_score=MIN_SCORE, batch_size=batch))
 
-            seconds = {"forward": timed(way.forward, clock), "boxes": timed(boxes, clock)}
+            seconds = {"forward": timed(way.forward, clock)}
+            seconds |= {str(decode): timed(partial(boxes, decode), clock) for decode in DECODES}
             if number >= 2:  # the first rounds warm up
                 for name, value in seconds.items():
                     taken[way.name][name].append(value)
@@ -109,12 +114,16 @@ def main() -> None:
     size = "x".join(map(str, SIZE_PX))
     print(f"{len(frames)} images of {size} px, {found} vehicles found; 1 thread, batches of {arguments.batch}")
     for way, seconds in taken.items():
-        print(
-            f"{way:<12}  images to boxes over the network alone: {spread(seconds['boxes'] / seconds['forward'])};"
-            f" images per CPU second: {spread(len(frames) / seconds['boxes'])}"
-        )
-    ratios = {name: spread(taken["ONNX Runtime"][name] / taken["torch"][name]) for name in ("forward", "boxes")}
-    print(f"ONNX Runtime over torch: the network alone {ratios['forward']}, images to boxes {ratios['boxes']}")
+        for decode in DECODES:
+            print(
+                f"{way:<12}  images to boxes, {decode}, over the network alone:"
+                f" {spread(seconds[decode] / seconds['forward'])};"
+                f" images per CPU second: {spread(len(frames) / seconds[decode])}"
+            )
+    ratios = {name: spread(taken["ONNX Runtime"][name] / taken["torch"][name]) for name in ("forward", "fitted")}
+    print(
+        f"ONNX Runtime over torch: the network alone {ratios['forward']}, images to boxes, fitted, {ratios['fitted']}"
+    )
     if torch.cuda.is_available():
         _on_gpu(arguments.weights, frames, arguments.batch, arguments.rounds)
 
@@ -123,10 +132,8 @@ def _on_gpu(weights: Path, frames: list[Frame], batch: int, rounds: int) -> None
     network: SmallNetwork = load_network(weights).cuda()
     way = Way("GPU", network, batches_of(frames, batch, "cuda", torch.channels_last))
     seconds = measure([way], frames, batch, rounds, time.perf_counter)["GPU"]
-    print(
-        f"GPU           images per second: {spread(len(frames) / seconds['boxes'])},"
-        f" the network alone {spread(len(frames) / seconds['forward'])}"
-    )
+    by_decode = ", ".join(f"{decode} {spread(len(frames) / seconds[decode])}" for decode in DECODES)
+    print(f"GPU           images per second: {by_decode}, the network alone {spread(len(frames) / seconds['forward'])}")
 
 
 if __name__ == "__main__":

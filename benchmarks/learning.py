@@ -2,8 +2,8 @@
 
 Rows per site and seed:
 
-- ``baseline``: the bundled network, placed by the ground plane; ``baseline_depth``: by its own depth;
-  ``baseline_fitted``: as the fine-tuned one is placed.
+- ``baseline``: the bundled network, its boxes placed as those of the fine-tuned one; ``baseline_plane``: by the ground
+  plane; ``baseline_depth``: by its own depth.
 - the methods of `TRAINED`, among them ``paper``: fine-tuned with the published loss (Howe et al. 2021, eq. 1), and
   ``lifted``: fine-tuned on the fits to all views, the default.
 - ``truth``: the same training on the true boxes of the same vehicles: what better labels could give.
@@ -47,8 +47,8 @@ from wibam_core.config import FinetuneConfig
 from wibam_core.models.decode import Decode
 from wibam_core.stages.store import sha256_of
 
-#: The network before training -> how its boxes are placed.
-BASELINES: Mapping[str, Decode] = {"baseline_depth": "depth", "baseline": "plane", "baseline_fitted": "fitted"}
+#: The network before training -> how its boxes are placed; None: as after it.
+BASELINES: Mapping[str, Decode | None] = {"baseline_depth": "depth", "baseline_plane": "plane", "baseline": None}
 
 #: Method -> options of fine-tuning.
 TRAINED: Mapping[str, Mapping[str, Any]] = {
@@ -60,6 +60,7 @@ TRAINED: Mapping[str, Mapping[str, Any]] = {
     "lifted_depth": {"method": "lifted", "decode": "depth"},
     "lifted_plane": {"method": "lifted", "decode": "plane"},
     "lifted_ground": {"method": "lifted", "decode": "ground"},
+    "lifted_fitted": {"method": "lifted", "decode": "fitted"},
     "combined": {"method": "combined"},
 }
 METHODS = (*BASELINES, *TRAINED, "truth", "labels")
@@ -106,7 +107,7 @@ def row(site: Site, run: Run) -> Figures:
 def trained_by(site: Site, method: str, options: Mapping[str, Any] | None) -> Trained:
     """The network of a method, trained where it is to be trained."""
     if options is None:
-        return untrained(site, BASELINES[method])
+        return untrained(site, BASELINES[method] or site.usual_decode)
     if method != "truth":
         return finetuned_by_stage(site, options)
     train, validation = (views(site, part, true_lifts(site)) for part in ("train", "val"))

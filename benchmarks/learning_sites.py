@@ -101,6 +101,11 @@ class Site:
         """How wide networks see the images, as a job chooses it."""
         return usual_input_width_px(self.frames, self.rig)
 
+    @property
+    def usual_decode(self) -> Decode:
+        """How boxes of a network that was fine-tuned here are placed, unless options say."""
+        return FinetuneConfig(network="custom" if "network" in self.folder.assets else "small").decode
+
     @cached_property
     def test_frames(self) -> list[FrameSet]:
         times = set(self.split.times_ns["test"])
@@ -108,8 +113,8 @@ class Site:
 
     @cached_property
     def baseline(self) -> Evaluation:
-        """Of the network before training, on the ground plane, on the test part."""
-        return evaluation(self, detections(self, untrained(self, "plane")))
+        """Of the network before training, placed as after it, on the test part."""
+        return evaluation(self, detections(self, untrained(self, self.usual_decode)))
 
     def of(self, part: str) -> list[AnnotatedInstant]:
         """The instants of a part of the split."""

@@ -85,9 +85,9 @@ def _refusal(message: str) -> pydantic_core.PydanticCustomError:
     return pydantic_core.PydanticCustomError("refused", "{message}", {"message": message})
 
 
-def _usual_decode(others: dict[str, Any]) -> Literal["plane", "fitted"]:
+def _usual_decode(others: dict[str, Any]) -> Literal["plane", "refined"]:
     """How boxes are placed unless options say, by the options before."""
-    return "plane" if others.get("method") == "paper" or others.get("network") == "custom" else "fitted"
+    return "plane" if others.get("method") == "paper" or others.get("network") == "custom" else "refined"
 
 
 class FinetuneConfig(StageConfig):
@@ -98,13 +98,13 @@ class FinetuneConfig(StageConfig):
     network: Literal["small", "custom"] = Field(
         "small", description="'custom': the site's own network.safetensors (a converted CenterTrack DLA-34)"
     )
-    decode: Literal["plane", "depth", "fused", "ground", "fitted"] = Field(
+    decode: Literal["plane", "depth", "fused", "ground", "fitted", "refined"] = Field(
         default_factory=_usual_decode,
         description="how boxes are placed: 'plane': where the ray to the 3D centre is half the vehicle's height above"
         " ground; 'depth': at the regressed depth; 'fused': by both by their regressed uncertainties; 'ground': where"
         " the ray to the footprint meets the ground; 'fitted': from there, where they agree best with all that the"
-        " network says about them, the edges of their 2D boxes included; unless given, 'fitted', or 'plane' where"
-        " footprints are not learned",
+        " network says about them, the edges of their 2D boxes included; 'refined': as 'fitted', with edges of a"
+        " second look at each vehicle; unless given, 'refined', or 'plane' where footprints are not learned",
     )
     device: Literal["auto", "cpu", "cuda"] = Field(
         "auto", description="where to train; 'auto': on all CUDA devices that are visible, or else on the CPU"
@@ -141,7 +141,8 @@ class FinetuneConfig(StageConfig):
     @pydantic.field_validator("decode")
     @classmethod
     def _can_be_decoded(cls, value: str, info: pydantic.ValidationInfo) -> str:
-        lacks = {"fused": "uncertainties to fuse by", "ground": "footprints", "fitted": "footprints"}.get(value)
+        by_footprint = dict.fromkeys(("ground", "fitted", "refined"), "footprints")
+        lacks = {"fused": "uncertainties to fuse by", **by_footprint}.get(value)
         if lacks and info.data.get("method") == "paper":
             raise _refusal(f"method 'paper' teaches no {lacks}, only 'plane' and 'depth' are possible")
         if lacks and info.data.get("network") == "custom":

@@ -15,6 +15,7 @@ from rich.table import Table
 from wibam_core.formats.tracks import read_tracks
 from wibam_core.report.advice import test_part
 from wibam_core.report.inputs import ConflictRow, Conflicts, DetectorFigures, MeanSd, Metrics, Significance
+from wibam_core.report.results import NETWORKS, compared
 from wibam_core.scene import Track
 
 _COLUMNS = (
@@ -25,7 +26,6 @@ _COLUMNS = (
     ("aoe_deg", "AOE °", 1),
     ("recall", "recall", 2),
 )
-_METHODS = (("baseline_depth", "baseline, depth decode"), ("baseline", "baseline"), ("finetuned", "fine-tuned"))
 _SIGNIFICANT = 0.01
 
 
@@ -76,7 +76,7 @@ def before_after_table(metrics: Metrics) -> Table:
     """Baseline against fine-tuned; without labels, their agreement between views."""
     if metrics.finetuned is None:
         return _consistency_table(metrics)
-    detectors = {name: getattr(metrics, name) for name, _ in _METHODS if getattr(metrics, name) is not None}
+    detectors = {name: getattr(metrics, name) for name in compared(metrics)}
     table = _figures_table("Before and after, on held-out time", detectors, _COLUMNS, metrics.significance or {})
     table.caption = _caption(metrics)
     for title, count in (("matched", "matched"), ("missed", "missed"), ("false positives", "false_positives")):
@@ -89,7 +89,7 @@ def published_table(metrics: Metrics) -> Table | None:
     """The same detectors measured with the quirks of the published evaluation; None without labels."""
     if metrics.paper_compat is None:
         return None
-    detectors = {name: metrics.paper_compat[name] for name, _ in _METHODS if name in metrics.paper_compat}
+    detectors = {name: metrics.paper_compat[name] for name in NETWORKS if name in metrics.paper_compat}
     table = _figures_table("As the published evaluation would count (paper_compat)", detectors, _COLUMNS[:-1], {})
     table.caption = "only boxes that overlap in the image, misses not counted, headings off by 150° and more left out"
     table.add_row("matched", *(_count(figures.matched) for figures in detectors.values()))
@@ -105,9 +105,8 @@ def _figures_table(
     """One row a metric, one column a detector; the fine-tuned one carries the marks of significance."""
     table = Table(title=title, title_justify="left")
     table.add_column("")
-    titles = dict(_METHODS)
     for name in detectors:
-        table.add_column(titles[name], justify="right", style="bold" if name == "finetuned" else "")
+        table.add_column(NETWORKS[name], justify="right", style="bold" if name == "finetuned" else "")
     for key, metric, digits in columns:
         marks = [tests.get(key) if name == "finetuned" else None for name in detectors]
         figures = detectors.values()
@@ -168,7 +167,7 @@ def _consistency_table(metrics: Metrics) -> Table:
     )
     for title in ("", "IoU in the other views", "IoU in its own view", "found"):
         table.add_column(title, justify="left" if not title else "right")
-    for name, title in _METHODS:
+    for name, title in NETWORKS.items():
         if name in metrics.self_consistency:
             value = metrics.self_consistency[name]
             found = "–" if value.found is None else f"{value.found:.2f}"

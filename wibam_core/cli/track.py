@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 from typing import Annotated
 
@@ -66,6 +67,8 @@ def track(
     else:
         seen_by = _calibrated(calibration, camera, info)
     network, usage = _network(weights or bundled("mono_small.safetensors"))
+    if weights is None and calibration is not None:  # edges tell where a vehicle is if it is known whence they are seen
+        usage = replace(usage, decode="refined")
     factors = _factors(usage)
     if isinstance(network, DLA34):
         console.print(f"[yellow]{LICENCE_NOTE}[/]", highlight=False)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, lru_cache
 
 import numpy as np
 
@@ -31,6 +31,12 @@ class StillBackground:
 
     image: Image
     known: Image
+
+    @classmethod
+    @lru_cache(maxsize=4)
+    def unknown(cls, height: int, width: int) -> StillBackground:
+        """Of a camera of which nothing is known."""
+        return cls(np.full((height, width, 3), UNKNOWN, np.uint8), np.zeros((height, width), np.uint8))
 
     @cached_property
     def layers(self) -> Image:

@@ -49,7 +49,14 @@ class EdgeRefiner:
         self._session = onnxruntime.InferenceSession(str(path), options, providers=["CPUExecutionProvider"])
 
     def refine(
-        self, image_bgr: Image, background: StillBackground, found: Found, *, nms_iou: float, classify: bool
+        self,
+        image_bgr: Image,
+        background: StillBackground,
+        found: Found,
+        *,
+        nms_iou: float,
+        classify: bool,
+        passes: int = _PASSES,
     ) -> Refined:
         """The boxes with better edges, and amodal ones, in the order given; what turns out to be found twice goes.
 
@@ -59,12 +66,13 @@ class EdgeRefiner:
             found: in px of the image.
             nms_iou: of two boxes that overlap more, the weaker is left out.
             classify: give the boxes the refiner's classes, too.
+            passes: how often each box is looked at, where the last look left it. Boxes that are near need one.
         """
         if not len(found.boxes):
             return Refined(*found, np.empty((0, 4)), np.empty((0, 4)))
         limits = np.array([image_bgr.shape[1], image_bgr.shape[0]] * 2) - 0.5
         boxes, classes = found.boxes, found.classes
-        for _ in range(_PASSES):
+        for _ in range(passes):
             crops, windows = blob(image_bgr, background.layers, boxes)
             edges, reach, log_scale, logits = (
                 values.astype(np.float64) for values in self._session.run(_OUTPUTS, {"image": crops})

@@ -17,7 +17,9 @@ from wibam_core.geometry.torch_ops import CameraTensors, rays
 from wibam_core.models.small import REFERENCE_FOCAL_PX, UNCERTAINTY_GROUPS, SmallOutputs
 from wibam_core.models.trunk import STRIDE
 
-Decode = Literal["plane", "depth", "fused", "ground", "fitted"]
+Decode = Literal["plane", "depth", "fused", "ground", "fitted", "refined"]
+#: Those that place the footprint, not the 3D centre.
+_BY_FOOTPRINT = ("ground", "fitted", "refined")
 
 
 def read_decode(curves: Mapping[str, Any]) -> Decode:
@@ -155,6 +157,7 @@ def boxes3d(values: PeakValues, cameras: CameraTensors, mean_sizes_m: Tensor, de
     ``fused``: on that ray between the two, each weighted by its regressed precision, and half its height above ground.
     ``ground``: over the place where the ray through the footprint's projected centre meets the ground, z = 0.
     ``fitted``: as ``ground``, where the fit to all that the heads say begins (`wibam_core.models.reconcile`).
+    ``refined``: as ``fitted``, to edges of a second look at each vehicle (`wibam_core.models.second_look`).
     """
     seen_by = cameras[values.image]
     sizes = sizes_m(values, mean_sizes_m)
@@ -172,7 +175,7 @@ def _aimed(values: PeakValues, centre_m: Tensor, decode: Decode) -> tuple[PeakVa
 
     ``centre_m`` (N,) is how high the 3D centres lie.
     """
-    if decode not in ("ground", "fitted"):
+    if decode not in _BY_FOOTPRINT:
         return values, centre_m
     log_scale = torch.cat([values.log_scale[:, [_FOOTPRINT]], values.log_scale[:, 1:]], dim=-1)
     return replace(values, centre3d=values.footprint, log_scale=log_scale), torch.zeros_like(centre_m)

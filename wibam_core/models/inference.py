@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 
 import cv2
@@ -13,9 +14,19 @@ from torch import Tensor
 
 from wibam_core.geometry.camera import Camera
 from wibam_core.geometry.torch_ops import CameraTensors
-from wibam_core.models.decode import Decode, boxes2d_px, boxes3d, find_peaks, gather, gather_around, standard_deviations
+from wibam_core.models.decode import (
+    Decode,
+    PeakValues,
+    boxes2d_px,
+    boxes3d,
+    find_peaks,
+    gather,
+    gather_around,
+    standard_deviations,
+)
 from wibam_core.models.onnx_network import OnnxNetwork
 from wibam_core.models.reconcile import reconciled
+from wibam_core.models.second_look import Edges, SecondLook
 from wibam_core.models.small import INPUT_WIDTH_PX, SmallNetwork, SmallOutputs
 from wibam_core.models.trunk import INPUT_MULTIPLE
 from wibam_core.scene import Vehicles3D
@@ -93,21 +104,22 @@ def predict(
     Args:
         network: torch's is put into evaluation mode, and runs on its own device. It sees images at its input width.
         frames: consumed as needed, at most ``batch_size`` in memory.
-        decode: how boxes are placed, see `wibam_core.models.decode.boxes3d` and `wibam_core.models.reconcile`.
+        decode: how boxes are placed, see `wibam_core.models.decode.boxes3d`.
         min_score: peaks below it are left out.
         batch_size: images per pass; images of one batch have equal prepared sizes.
     """
+    look = SecondLook() if decode == "refined" else None
     batch: list[Frame] = []
     images: list[NDArray[np.uint8]] = []
     for frame in frames:
         image = prepare_image(frame.image, network.input_width_px)
         if batch and (len(batch) == batch_size or image.shape != images[0].shape):
-            yield from _predict_batch(network, batch, images, decode, min_score)
+            yield from _predict_batch(network, batch, images, decode, look, min_score)
             batch, images = [], []
         batch.append(frame)
         images.append(image)
     if batch:
-        yield from _predict_batch(network, batch, images, decode, min_score)
+        yield from _predict_batch(network, batch, images, decode, look, min_score)
 
 
 def _run(network: RunnableNetwork, images: NDArray[np.uint8]) -> SmallOutputs:
@@ -120,21 +132,28 @@ def _run(network: RunnableNetwork, images: NDArray[np.uint8]) -> SmallOutputs:
 
 
 def _predict_batch(
-    network: RunnableNetwork, frames: list[Frame], images: list[NDArray[np.uint8]], decode: Decode, min_score: float
+    network: RunnableNetwork,
+    frames: list[Frame],
+    images: list[NDArray[np.uint8]],
+    decode: Decode,
+    look: SecondLook | None,
+    min_score: float,
 ) -> Iterator[Vehicles3D]:
     prepared = [prepare_camera(frame.camera, network.input_width_px) for frame in frames]
     cameras = CameraTensors.from_cameras(prepared, torch.float64)
     with torch.inference_mode():
         outputs = _run(network, np.stack(images))
         peaks = find_peaks(outputs.heat, min_score)
-        read = gather_around if decode == "fitted" else gather
+        fits = decode in ("fitted", "refined")
+        read = gather_around if fits else gather
         values = read(outputs, peaks.image, peaks.cells, peaks.classes)
         boxes = boxes3d(values, cameras, network.mean_sizes_m.cpu(), decode)
         kept = kept_peaks(peaks.image, boxes, boxes2d_px(values))
         values, boxes = values[kept], boxes[kept]
         sd = standard_deviations(values, boxes, cameras, decode)
-        if decode == "fitted":
-            boxes, sd = reconciled(values, boxes, sd, cameras)
+        if fits:
+            edges = None if look is None else _edges(look, frames, cameras, values)
+            boxes, sd = reconciled(values, boxes, sd, cameras, edges)
     scores = peaks.scores[kept].double().numpy()
     for index, frame in enumerate(frames):
         mine = np.flatnonzero(values.image.numpy() == index)
@@ -146,6 +165,19 @@ def _predict_batch(
             sd=sd.numpy()[mine],
             camera_id=frame.camera_id,
         )
+
+
+def _edges(look: SecondLook, frames: list[Frame], cameras: CameraTensors, values: PeakValues) -> Edges:
+    """Edges of the vehicles of a batch after a second look at the frames' own pixels, px of the network's input."""
+    native = torch.tensor([frame.image.shape[1::-1] for frame in frames], dtype=torch.float64)
+    scale = (native / cameras.size)[values.image].repeat(1, 2)
+    boxes = ((boxes2d_px(values) + 0.5) * scale - 0.5).numpy()
+    rows = [np.flatnonzero(values.image.numpy() == index) for index in range(len(frames))]
+    with ThreadPoolExecutor(max_workers=torch.get_num_threads()) as pool:
+        seen = list(pool.map(look.edges, (frame.image for frame in frames), (boxes[mine] for mine in rows)))
+    order = torch.from_numpy(np.argsort(np.concatenate(rows)))
+    px, sd_px = (torch.cat(list(of))[order] for of in zip(*seen, strict=True))
+    return Edges((px + 0.5) / scale - 0.5, sd_px / scale)
 
 
 def kept_peaks(image: Tensor, boxes: Tensor, boxes2d: Tensor) -> Tensor:

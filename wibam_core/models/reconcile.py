@@ -22,20 +22,24 @@ from wibam_core.models.decode import (
     footprints_px,
     wrap_angle,
 )
+from wibam_core.models.second_look import Edges
 from wibam_core.models.small import REFERENCE_FOCAL_PX, UNCERTAINTY_GROUPS
 from wibam_core.models.trunk import STRIDE
 
 #: Standard deviation of an edge of the regressed 2D box about the body's: px, and share of the box's side.
 _EDGE_SD_PX, _EDGE_SD_SHARE = 0.7, 0.03
-#: Headings count as if they erred this many times less than they say: else the edges turn vehicles.
-_YAW_TRUST = 2.0
+#: Of better edges, added to their own: px.
+_BODY_SD_PX = 0.3
+#: Headings count as if they erred this many times less than they say: else the edges of 2D boxes turn vehicles. Better
+#: edges may.
+_YAW_TRUST, _YAW_TRUST_BESIDE_EDGES = 2.0, 1.5
 #: An edge nearer to the image's border than this may have been cut by it, px.
 _BORDER_PX = 3.0
 #: An edge of which a nearer vehicle's box covers more than this share may be hidden by it.
 _HIDDEN_SHARE = 0.3
 #: Residuals beyond this many standard deviations count less and less.
 _ROBUST_SD = 3.0
-_STEPS = 2
+_STEPS = 4
 #: A fit that leads farther leads nowhere: m over the ground, log of a size, rad.
 _FARTHEST_M, _FARTHEST_LOG_SIZE, _FARTHEST_RAD = 3.0, 0.5, 0.5
 #: Of a vehicle with a body point nearer than this along the optical axis, no edge is compared, m.
@@ -48,7 +52,9 @@ _CENTRE, _DEPTH, _SIZE, _YAW, _FOOTPRINT = map(
 )
 
 
-def reconciled(values: PeakValues, boxes: Tensor, sd: Tensor, cameras: CameraTensors) -> tuple[Tensor, Tensor]:
+def reconciled(
+    values: PeakValues, boxes: Tensor, sd: Tensor, cameras: CameraTensors, edges: Edges | None = None
+) -> tuple[Tensor, Tensor]:
     """Boxes (N, 7) that agree best with all heads, and their standard deviations (N, 7).
 
     Args:
@@ -56,12 +62,13 @@ def reconciled(values: PeakValues, boxes: Tensor, sd: Tensor, cameras: CameraTen
         boxes: (N, 7) on the ground, where the fits start; one whose fit leads nowhere stays as it is.
         sd: (N, 7) their standard deviations, kept with them.
         cameras: (B,) of the batch, float64, at the network's input size.
+        edges: of the whole vehicles, px of the network's input, instead of those of the regressed 2D boxes.
 
     All are on the CPU.
     """
     if not len(boxes):
         return boxes, sd
-    problem = _Problem(values, boxes, cameras)
+    problem = _Problem(values, boxes, cameras, edges)
     parameters = torch.cat([boxes[:, :2], boxes[:, 3:6].log(), boxes[:, 6:]], dim=1)
     for _ in range(_STEPS):
         information, gradient = problem.normal_equations(parameters)
@@ -69,7 +76,7 @@ def reconciled(values: PeakValues, boxes: Tensor, sd: Tensor, cameras: CameraTen
     variance = torch.linalg.inv_ex(information)[0].diagonal(dim1=-2, dim2=-1)
     found, own = _boxes(parameters), variance.clamp_min(0.0).sqrt()
     size_sd = found[:, 3:6] * own[:, 2:5]
-    yaw_sd = (_YAW_TRUST * own[:, 5:]).clamp(max=torch.pi)
+    yaw_sd = (problem.yaw_trust * own[:, 5:]).clamp(max=torch.pi)
     found_sd = torch.cat([own[:, :2], size_sd[:, 2:] / 2, size_sd, yaw_sd], dim=1)
     good = (variance > 0).all(dim=1) & found.isfinite().all(dim=1)
     good &= torch.linalg.norm((found - boxes)[:, :2], dim=1) <= _FARTHEST_M
@@ -85,18 +92,27 @@ def _boxes(parameters: Tensor) -> Tensor:
 
 
 class _Problem:
-    """Residuals of N vehicles in standard deviations: four edges, footprint, 3D centre, depth, size and heading."""
+    """Residuals of N vehicles in standard deviations: four edges, footprint, 3D centre, depth, size and heading.
 
-    def __init__(self, values: PeakValues, boxes: Tensor, cameras: CameraTensors) -> None:
+    Attributes:
+        yaw_trust: headings are taken to err so many times less than they say.
+    """
+
+    def __init__(self, values: PeakValues, boxes: Tensor, cameras: CameraTensors, edges: Edges | None) -> None:
         self._seen_by = cameras[values.image]
         self._bodies = torch.tensor(TEMPLATES)[values.classes]
-        edges = boxes2d_px(values)
-        side = (edges[:, 2:] - edges[:, :2]).repeat(1, 2)
         outline, depths = self._outline(boxes[:, None])
-        told = comparable_edges(edges, values.image, outline[:, 0], self._seen_by.size)
+        self.yaw_trust = _YAW_TRUST if edges is None else _YAW_TRUST_BESIDE_EDGES
+        if edges is None:
+            px = boxes2d_px(values)
+            sd_px = _EDGE_SD_PX + _EDGE_SD_SHARE * (px[:, 2:] - px[:, :2]).repeat(1, 2)
+            told = ~hidden_edges(px, values.image)
+        else:
+            px, sd_px = edges.px, (edges.sd_px.square() + _BODY_SD_PX**2).sqrt()
+            told = torch.ones_like(px, dtype=torch.bool)
+        told &= edges_within(px, outline[:, 0], self._seen_by.size)
         told &= (depths[:, 0].amin(dim=1) > _NEAREST_M)[:, None]
-        # with a dimension for the guesses
-        self._edges, self._edge_weight = edges[:, None], (told / (_EDGE_SD_PX + _EDGE_SD_SHARE * side))[:, None]
+        self._edges, self._edge_weight = px[:, None], (told / sd_px)[:, None]  # with a dimension for the guesses
         self._footprint, self._centre = footprints_px(values)[:, None], centres3d_px(values)[:, None]
         self._log_depth, self._focal_px = values.depth[:, None, None], focal_px(self._seen_by)[:, None, None]
         self._log_size, self._yaw = boxes[:, None, 3:6].log(), boxes[:, None, 6:]
@@ -135,22 +151,19 @@ class _Problem:
                 (pixels[..., -1, :] - self._centre) / STRIDE * weight[..., [_CENTRE]],
                 (log_depth - self._log_depth) * weight[..., [_DEPTH]],
                 (log_size - self._log_size) * weight[..., [_SIZE]],
-                _YAW_TRUST * wrap_angle(yaw - self._yaw) * weight[..., [_YAW]],
+                self.yaw_trust * wrap_angle(yaw - self._yaw) * weight[..., [_YAW]],
             ],
             dim=-1,
         )
 
 
-def comparable_edges(boxes: Tensor, image: Tensor, outline: Tensor, size_px: Tensor) -> Tensor:
-    """(N, 4) which edges, left, top, right, bottom, of 2D boxes (N, 4) xyxy are the vehicle's own.
+def edges_within(boxes: Tensor, outline: Tensor, size_px: Tensor) -> Tensor:
+    """(N, 4) which edges, left, top, right, bottom, of 2D boxes (N, 4) xyxy are the vehicle's, not the image's border.
 
-    Others may be those of what hides it: the border of its image, or a vehicle that stands nearer in the same image,
-    which is one whose box reaches farther down. Where the border cuts a vehicle, the point that makes another of its
-    edges may be out of the image, too.
+    Where the border cuts a vehicle, the point that makes another of its edges may be out of the image, too.
 
     Args:
         boxes: px.
-        image: (N,) which image each is in.
         outline: (N, P, 2) about where the points of its body are seen, px.
         size_px: (N, 2) width and height of its image.
     """
@@ -159,6 +172,18 @@ def comparable_edges(boxes: Tensor, image: Tensor, outline: Tensor, size_px: Ten
     makes = torch.cat([outline.argmin(dim=1), outline.argmax(dim=1)], dim=1)
     across = outline[torch.arange(len(boxes))[:, None], makes, torch.tensor([1, 0, 1, 0])]
     there = (across > -0.5) & (across < size_px.flip(-1).repeat(1, 2) - 0.5)
+    return inside & (there | inside.all(dim=1, keepdim=True))
+
+
+def hidden_edges(boxes: Tensor, image: Tensor) -> Tensor:
+    """(N, 4) which edges, left, top, right, bottom, of 2D boxes (N, 4) xyxy may be those of what hides the vehicle.
+
+    That is a vehicle that stands nearer in the same image, which is one whose box reaches farther down.
+
+    Args:
+        boxes: of what is seen of the vehicles, px.
+        image: (N,) which image each is in.
+    """
     nearer = (image[:, None] == image) & (boxes[:, 3] > boxes[:, None, 3] + 1.0)
     own, other = boxes[:, None], boxes[None]
     overlap = torch.minimum(own[..., 2:], other[..., 2:]) - torch.maximum(own[..., :2], other[..., :2])
@@ -168,5 +193,4 @@ def comparable_edges(boxes: Tensor, image: Tensor, outline: Tensor, size_px: Ten
         own.unflatten(-1, (2, 2)) <= other[..., None, 2:] + 2.0
     )
     covered = within & (share.flip(-1) > _HIDDEN_SHARE)[..., None, :]
-    hidden = (covered.flatten(-2) & nearer[..., None]).any(dim=1)
-    return inside & (there | inside.all(dim=1, keepdim=True)) & ~hidden
+    return (covered.flatten(-2) & nearer[..., None]).any(dim=1)

@@ -15,7 +15,7 @@ from wibam_core.models.small import INPUT_WIDTH_PX
 from wibam_core.models.trunk import INPUT_MULTIPLE
 
 #: How the small network's boxes can be placed; first what a file means that does not say.
-SMALL_DECODES: tuple[Decode, ...] = ("plane", "depth", "fused", "ground", "fitted")
+SMALL_DECODES: tuple[Decode, ...] = ("plane", "depth", "fused", "ground", "fitted", "refined")
 #: The same of CenterTrack's DLA-34, which states no uncertainties to fuse by.
 DLA34_DECODES: tuple[Decode, ...] = ("depth", "plane")
 

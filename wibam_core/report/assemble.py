@@ -66,6 +66,7 @@ _DECODES = {
     "fused": "by the ground plane and the network's depth",
     "ground": "where their footprints are on the ground",
     "fitted": "where they agree best with all that the network says about them",
+    "refined": "where they agree best with all that the network says about them and with a second look at their edges",
 }
 _KEPT = {"last": "those of the last step", "best": "those of the best validation loss"}
 _NOT_SYNCHRONISED = "The recordings were taken to share one clock, as asked for; nothing was measured."

@@ -134,6 +134,7 @@ class Metrics(_File):
     instants: int
     frames: int
     baseline: DetectorFigures | None = None
+    baseline_plane: DetectorFigures | None = None
     baseline_depth: DetectorFigures | None = None
     finetuned: DetectorFigures | None = None
     paper_compat: dict[str, DetectorFigures] | None = None

@@ -9,7 +9,7 @@ from wibam_core.report.advice import advice
 from wibam_core.report.data import Dataset, ReportData, SubsetRow
 from wibam_core.report.inputs import ConflictRow, Metrics
 from wibam_core.report.pictures import MAX_CONFLICTS, Picture, Pictures
-from wibam_core.report.results import NETWORKS, ResultRow, result_rows, z_tests
+from wibam_core.report.results import NETWORKS, ResultRow, compared, result_rows, z_tests
 from wibam_core.report.words import NONE, braking, interval, mean_sd, number, percent, signed
 
 _KINDS = {"matrices": "ready matrices", "pnp": "points, known lens", "homography": "ground points"}
@@ -43,6 +43,7 @@ class Page:
     pictures: Pictures
     has_labels: bool
     test_part: str
+    networks: tuple[str, ...]
     results: tuple[ResultRow, ...]
     z_tests: str
     consistency: tuple[tuple[str, ...], ...]
@@ -78,6 +79,7 @@ def build_page(data: ReportData, pictures: Pictures) -> Page:
         pictures=pictures,
         has_labels=metrics.finetuned is not None,
         test_part=f"{metrics.instants} instants, {metrics.frames} images",
+        networks=tuple(compared(metrics).values()),
         results=result_rows(metrics),
         z_tests=z_tests(metrics),
         consistency=_consistency(metrics),

@@ -20,7 +20,8 @@ PUBLISHED: Mapping[str, tuple[MeanSd, MeanSd]] = {
 #: Networks in the order of the columns, by their names in the metrics.
 NETWORKS = {
     "baseline_depth": "baseline (depth)",
-    "baseline": "baseline (plane)",
+    "baseline_plane": "baseline (plane)",
+    "baseline": "baseline",
     "finetuned": "fine-tuned",
 }
 
@@ -33,27 +34,35 @@ class Cell:
     spread: str = ""
 
 
-_Triple = tuple[Cell, Cell, Cell]
+_Cells = tuple[Cell, ...]
 
 
 @dataclass(frozen=True)
 class ResultRow:
-    """One metric. ``verdict`` is "better", "worse" or "" where the change may be chance."""
+    """One metric, with a cell for each of `compared`.
+
+    ``verdict`` is "better", "worse" or "" where the change may be chance.
+    """
 
     name: str
-    correct: _Triple
+    correct: _Cells
     change: Cell
     verdict: str
-    paper_compat: _Triple
+    paper_compat: _Cells
     published: tuple[Cell, Cell]
+
+
+def compared(metrics: Metrics) -> dict[str, str]:
+    """Those of `NETWORKS` that were measured against labels."""
+    return {name: title for name, title in NETWORKS.items() if getattr(metrics, name) is not None}
 
 
 def result_rows(metrics: Metrics) -> tuple[ResultRow, ...]:
     """The before/after table: empty without labels."""
     if metrics.baseline is None or metrics.finetuned is None:
         return ()
-    networks = (metrics.baseline_depth, metrics.baseline, metrics.finetuned)
-    compat = tuple((metrics.paper_compat or {}).get(name) for name in NETWORKS)
+    networks = tuple(getattr(metrics, name) for name in compared(metrics))
+    compat = tuple((metrics.paper_compat or {}).get(name) for name in compared(metrics))
     tests = metrics.significance or {}
     measured = [
         _metric_row(name, title, digits, networks, compat, tests.get(name))
@@ -99,22 +108,19 @@ def _cell(value: MeanSd | None, digits: int) -> Cell:
     return Cell(number(value.mean, digits), "" if value.sd is None else f"± {value.sd:.{digits}f}")
 
 
-def _cells(networks: tuple[DetectorFigures | None, ...], name: str, digits: int) -> _Triple:
-    first, second, third = (_cell(getattr(one, name, MeanSd()), digits) for one in networks)
-    return first, second, third
+def _cells(networks: tuple[DetectorFigures | None, ...], name: str, digits: int) -> _Cells:
+    return tuple(_cell(getattr(one, name, MeanSd()), digits) for one in networks)
 
 
-def _alias_shares(networks: tuple[DetectorFigures | None, ...]) -> _Triple:
-    first, second, third = (
+def _alias_shares(networks: tuple[DetectorFigures | None, ...]) -> _Cells:
+    return tuple(
         Cell(NONE if figures is None or figures.alias_share is None else f"{100 * figures.alias_share:.1f} %")
         for figures in networks
     )
-    return first, second, third
 
 
-def _counts(networks: tuple[DetectorFigures | None, ...], name: str) -> _Triple:
-    first, second, third = (_count(None if one is None else getattr(one, name)) for one in networks)
-    return first, second, third
+def _counts(networks: tuple[DetectorFigures | None, ...], name: str) -> _Cells:
+    return tuple(_count(None if one is None else getattr(one, name)) for one in networks)
 
 
 def _count(value: int | None) -> Cell:

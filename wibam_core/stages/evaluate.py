@@ -42,6 +42,8 @@ _BREAKDOWNS = {
     "by_elevation": by_elevation,
     "by_class": by_class,
 }
+#: How the published method places the boxes of the network before fine-tuning; beside as the fine-tuned one's are.
+_PUBLISHED: tuple[Decode, ...] = ("plane", "depth")
 #: Detections down to this score are kept in the files, or to a lower one that is asked for; the evaluators apply their
 #: own thresholds.
 _KEPT_SCORE = 0.1
@@ -85,10 +87,11 @@ def run(context: StageContext, config: EvaluateConfig) -> Summary:
     custom = curves.get("network") == "custom"
     start = context.assets["network"] if custom else bundled("mono_small.safetensors")
     width_px = curves.get("input_width_px")  # the same images for all
+    decode = trained_decode(finetune)
     methods = (
-        _Method("baseline", start, "plane", as_learned, width_px),
-        _Method("baseline_depth", start, "depth", as_learned, width_px),
-        _Method("finetuned", finetune / "weights.safetensors", trained_decode(finetune), trained_factors(finetune)),
+        _Method("baseline", start, decode, as_learned, width_px),
+        *(_Method(f"baseline_{other}", start, other, as_learned, width_px) for other in _PUBLISHED if other != decode),
+        _Method("finetuned", finetune / "weights.safetensors", decode, trained_factors(finetune)),
     )
     predictions: dict[str, list[Vehicles3D]] = {}
     for number, method in enumerate(methods):

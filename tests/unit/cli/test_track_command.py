@@ -56,6 +56,23 @@ def test_with_a_calibration_it_does_not(video: Path, tmp_path: Path) -> None:
     assert "nominal" not in run(video, "--out", tmp_path / "tracks.parquet", *options)
 
 
+@pytest.mark.parametrize(("calibrated", "how"), [(True, "refined"), (False, "plane")])
+def test_the_bundled_model_looks_twice_where_the_camera_is_known(
+    video: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, calibrated: bool, how: str
+) -> None:
+    used = []
+
+    def tracked(*arguments: object, decode: Decode, **options: object) -> list[Track]:
+        used.append(decode)
+        return []
+
+    monkeypatch.setattr("wibam_core.cli.track.track_recording", tracked)
+    write_rig(tmp_path / "rig.json", corner_rig(2))
+    options = ("--calibration", tmp_path / "rig.json") if calibrated else ()
+    run(video, "--out", tmp_path / "tracks.parquet", "--rate", "2", *options)
+    assert used == [how]
+
+
 def test_a_camera_or_shape_that_does_not_fit_is_refused(tmp_path: Path) -> None:
     square = write_recording(tmp_path / "square.mp4", seconds=0.5, width_px=64, height_px=64)
     write_rig(tmp_path / "rig.json", corner_rig(2))

@@ -66,7 +66,7 @@ def test_decoding_is_differentiable(decode: Decode) -> None:
     assert torch.autograd.gradcheck(decoded, leaves, atol=1e-5)
 
 
-@pytest.mark.parametrize("decode", ["plane", "fused", "ground", "fitted"])
+@pytest.mark.parametrize("decode", ["plane", "fused", "ground", "fitted", "refined"])
 def test_boxes_stand_on_the_ground(decode: Decode) -> None:
     boxes = boxes3d(values(), cameras(), SIZES, decode)
     torch.testing.assert_close(boxes[:, 2], boxes[:, 5] / 2)
@@ -95,7 +95,7 @@ def test_boxes_are_finite_and_plausible_whatever_the_network_says() -> None:
         wild.footprint * 100,
         wild.log_scale * 100,
     )
-    for decode in ("plane", "depth", "fused", "ground", "fitted"):
+    for decode in ("plane", "depth", "fused", "ground", "fitted", "refined"):
         boxes = boxes3d(wild, cameras(), SIZES, decode)
         assert torch.isfinite(boxes).all()
         assert (boxes[:, 3:6] > 0).all()

@@ -19,7 +19,8 @@ from wibam_core.models.decode import (
     standard_deviations,
     wrap_angle,
 )
-from wibam_core.models.reconcile import comparable_edges, reconciled
+from wibam_core.models.reconcile import edges_within, hidden_edges, reconciled
+from wibam_core.models.second_look import Edges
 from wibam_core.models.small import MEAN_SIZES_M, REFERENCE_FOCAL_PX
 from wibam_core.models.trunk import STRIDE
 
@@ -225,10 +226,9 @@ def test_edges_behind_a_nearer_vehicle_are_not_compared(
     other: tuple[float, ...], image: int, hidden: list[bool]
 ) -> None:
     boxes = torch.tensor([(100.0, 100.0, 200.0, 200.0), other])
-    size = torch.tensor([[640.0, 384.0]] * 2)
-    told = comparable_edges(boxes, torch.tensor([0, image]), boxes.unflatten(1, (2, 2)), size)
-    assert told[0].tolist() == [not edge for edge in hidden]
-    assert bool(told[1].all()) == (other[3] > 200.0)  # else the first hides it
+    found = hidden_edges(boxes, torch.tensor([0, image]))
+    assert found[0].tolist() == hidden
+    assert bool(found[1].any()) == (other[3] < 200.0 and image == 0)  # the first hides it
 
 
 def test_edges_at_the_border_are_not_compared() -> None:
@@ -236,8 +236,41 @@ def test_edges_at_the_border_are_not_compared() -> None:
     # the top is made by a point within the image, or by one beyond the left border
     for x, top in ((300.0, True), (-20.0, False)):
         outline = torch.tensor([[(-30.0, 200.0), (x, 50.0), (700.0, 210.0), (320.0, 400.0)]])
-        told = comparable_edges(boxes, torch.tensor([0]), outline, torch.tensor([[640.0, 384.0]]))
+        told = edges_within(boxes, outline, torch.tensor([[640.0, 384.0]]))
         assert told.tolist() == [[False, top, False, False]]
+
+
+def test_edges_of_a_second_look_count_as_far_as_they_are_sure() -> None:
+    """Heads that err, edges of the bodies, and the same edges 20 px off, of which nothing is sure or a little."""
+    boxes, classes = vehicles(60)
+    values = blurred(told(boxes, classes, (-0.5, -2.0, -2.5, -3.0, -0.5)), seed=1)
+    start, plain, _ = both(values)
+    edges = outline_px(boxes, classes)
+    spoilt = replace(values, box2d=values.box2d + 3.0)  # what they are given instead of
+
+    def error(px: Tensor, sd_px: float) -> float:
+        given = Edges(px, torch.full_like(px, sd_px))
+        found, _ = reconciled(spoilt, start, torch.ones_like(start), CAMERAS[: len(boxes)], given)
+        return float(torch.linalg.norm((found - boxes)[:, :2], dim=1).mean())
+
+    usual = float(torch.linalg.norm((plain - boxes)[:, :2], dim=1).mean())
+    assert error(edges, 0.1) < 0.85 * usual
+    assert error(edges, 0.1) < error(edges, 5.0) < error(edges + 20.0, 5.0)
+    assert error(edges, np.inf) == error(edges + 20.0, np.inf) == pytest.approx(error(edges + 20.0, 1e4), rel=1e-3)
+
+
+def test_vehicles_do_not_hide_edges_of_a_second_look() -> None:
+    """They are those of the whole vehicle: one that stands in front changes nothing."""
+    boxes, classes = vehicles()
+    values = told(boxes, classes)
+    edges = Edges(outline_px(boxes, classes), torch.full((24, 4), 0.5, dtype=torch.float64))
+    start = boxes + torch.tensor([0.5, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0])
+    alone, _ = reconciled(values, start, torch.ones_like(start), CAMERAS[:24], edges)
+    one = {name: value[[0, 0]] for name, value in vars(values).items()}
+    one["box2d"] = one["box2d"] + torch.tensor([[0.0] * 4, [0.0, 0.5, 0.0, 0.0]])  # the same, but lower
+    both_px = Edges(edges.px[[0, 0]], edges.sd_px[[0, 0]])
+    beside, _ = reconciled(PeakValues(**one), start[[0, 0]], torch.ones(2, 7).double(), CAMERAS[:1], both_px)
+    torch.testing.assert_close(beside[0], alone[0])
 
 
 def test_angles_are_wrapped() -> None:

@@ -88,9 +88,9 @@ def test_writes_weights_and_curves(tmp_path: Path) -> None:
     found = OnnxNetwork.load(context.output / "weights.onnx")(images)
     torch.testing.assert_close(vars(found), vars(expected), atol=1e-3, rtol=0)
     curves = json.loads((context.output / "curves.json").read_text())
-    assert curves["decode"] == "fitted"
+    assert curves["decode"] == "refined"
     assert curves["input_width_px"] == network.input_width_px == 640
-    said = Usage("fitted", curves["sd_factors"])
+    said = Usage("refined", curves["sd_factors"])
     assert said.sd_factors.keys() == {"position", "z", "size", "yaw"}
     assert usage_of(context.output / "weights.safetensors") == said
     assert OnnxNetwork.load(context.output / "weights.onnx").usage == said

@@ -261,6 +261,7 @@ def test_a_box_that_is_not_finite_is_not_passed_over() -> None:
         ({"method": "combined", "box_heads": True}, r"finetune\.box_heads: it does nothing with method 'combined'"),
         ({"method": "paper", "decode": "fused"}, r"finetune\.decode: method 'paper' teaches no uncertainties"),
         ({"method": "paper", "decode": "ground"}, r"finetune\.decode: method 'paper' teaches no footprints"),
+        ({"method": "paper", "decode": "refined"}, r"finetune\.decode: method 'paper' teaches no footprints"),
         ({"method": "paper", "decode": "fitted"}, r"finetune\.decode: method 'paper' teaches no footprints"),
         (
             {"network": "custom", "input_width_px": 640},
@@ -279,8 +280,8 @@ def test_options_that_do_nothing_are_refused(options: dict[str, object], said: s
 
 def test_boxes_are_placed_by_what_the_method_teaches_unless_options_say() -> None:
     for options, decode in (
-        ({}, "fitted"),
-        ({"method": "combined"}, "fitted"),
+        ({}, "refined"),
+        ({"method": "combined"}, "refined"),
         ({"method": "paper"}, "plane"),
         ({"network": "custom"}, "plane"),
         ({"decode": "depth"}, "depth"),
