@@ -139,8 +139,10 @@ def main() -> None:
     def figures(averaged: SmallNetwork) -> dict[str, Any]:
         return {
             "ego_depth": measure_views(averaged, validation, "depth"),
+            "ego_refined": measure_views(averaged, validation, "refined"),
             "site_plane": measure_views(averaged, site, "plane"),
             "site_depth": measure_views(averaged, site, "depth"),
+            "site_refined": measure_views(averaged, site, "refined"),
         }
 
     def checkpoint(averaged: SmallNetwork, step: int) -> dict[str, Any]:

@@ -14,7 +14,7 @@ from wibam_core.cli.tables import print_tables
 from wibam_core.report.advice import advice
 from wibam_core.report.inputs import Conflicts, Metrics
 from wibam_core.report.page import conflict_cells
-from wibam_core.report.results import result_rows, z_tests
+from wibam_core.report.results import compared, result_rows, z_tests
 from wibam_core.report.summary import METRIC_NAMES, summary
 from wibam_core.report.words import interval
 
@@ -134,8 +134,18 @@ def test_results_mark_better_and_worse_by_the_sense_of_each_metric():
     assert rows["BEV IoU"].verdict == "better" and rows["BEV IoU"].change.value == "+0.26 **"
     assert rows["ATE (m)"].verdict == "better" and rows["ATE (m)"].change.value == "−0.59 **"
     assert rows["BEV IoU"].published[1].value == "0.64"
-    assert rows["missed"].paper_compat[2].value == "–" and rows["missed"].correct[2].value == "33"
+    assert rows["missed"].paper_compat[-1].value == "–" and rows["missed"].correct[-1].value == "33"
+    assert [cell.value for cell in rows["BEV IoU"].correct] == ["0.06", "0.38", "0.46", "0.72"]
     assert result_rows(Metrics.model_validate(metrics_json(labels=False))) == ()
+
+
+def test_only_baselines_that_were_measured_are_compared():
+    document = metrics_json()
+    del document["baseline_plane"], document["paper_compat"]["baseline_plane"]
+    metrics = Metrics.model_validate(document)
+    assert list(compared(metrics)) == ["baseline_depth", "baseline", "finetuned"]
+    assert {len(row.correct) for row in result_rows(metrics)} == {len(row.paper_compat) for row in result_rows(metrics)}
+    assert [cell.value for cell in result_rows(metrics)[0].correct] == ["0.06", "0.46", "0.72"]
 
 
 def test_interval_without_an_upper_end():

@@ -108,6 +108,7 @@ def test_frames_are_compared_with_labels_at_the_time_they_were_exposed(context: 
         assert metrics[name]["recall"]["mean"] == 1
         assert (metrics[name]["matched"], metrics[name]["missed"]) == (2 * len(TEST) * 2, 0)
     assert metrics["baseline_depth"]["ase"]["mean"] == pytest.approx(1 - 1 / 1.1)
+    assert "baseline_plane" not in metrics  # it is the baseline: the fine-tuned network's boxes are placed so
     assert metrics["labels"] == summary["labels"] == "hand"
     assert metrics["paper_compat"]["finetuned"]["iou_3d"]["mean"] == pytest.approx(0.75)
     assert set(metrics["significance"]) == set(METRICS)
@@ -116,6 +117,20 @@ def test_frames_are_compared_with_labels_at_the_time_they_were_exposed(context: 
     assert metrics["reliability"]["finetuned"]["yaw"] == {"count": 0}  # the oracle states no standard deviations
     # the other view's box was not moved to this view's time: the honest share of the difference stays
     assert 0.8 < metrics["self_consistency"]["finetuned"]["other_views"]["mean"] < 1
+
+
+@pytest.mark.parametrize("decode", ["refined", "depth"])
+def test_the_baseline_is_placed_as_the_finetuned_network_is(context: StageContext, decode: str) -> None:
+    (context.upstream["finetune"] / "curves.json").write_text(json.dumps({"decode": decode}))
+    evaluate.run(context, EvaluateConfig())
+    metrics = json.loads((context.output / "metrics.json").read_text())
+    longer = pytest.approx(1 - 1 / 1.1)
+    published = {f"baseline_{how}": how for how in ("plane", "depth") if how != decode}
+    expected = {"baseline": decode, **published, "finetuned": decode}
+    assert metrics.keys() & {"baseline_plane", "baseline_depth"} == published.keys()
+    for name, how in expected.items():
+        assert metrics[name]["ase"]["mean"] == (longer if how == "depth" else pytest.approx(0, abs=1e-6)), name
+        assert name in metrics["paper_compat"] and name in metrics["self_consistency"]
 
 
 def test_the_baseline_sees_images_as_wide_as_the_fine_tuned_network(
