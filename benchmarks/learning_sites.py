@@ -32,7 +32,6 @@ from wibam_core.models.centertrack import predict_vehicles
 from wibam_core.models.decode import Decode
 from wibam_core.models.dla34 import DLA34
 from wibam_core.models.inference import predict
-from wibam_core.models.small import SmallNetwork
 from wibam_core.models.stored_frames import stored_frames
 from wibam_core.models.weights import Monocular, bundled, load_monocular
 from wibam_core.progress import silent
@@ -42,7 +41,7 @@ from wibam_core.stages.store import StageStore
 from wibam_core.synthetic.options import SimulationOptions
 from wibam_core.synthetic.recorder import record_site
 from wibam_core.training.calibration import sd_factors
-from wibam_core.training.dataset import SiteView, site_views, usual_input_width_px
+from wibam_core.training.dataset import SiteView, site_views
 from wibam_core.training.device import choose_device_to_detect
 from wibam_core.training.finetune import SiteDataset, finetune
 
@@ -95,11 +94,6 @@ class Site:
     def start(self) -> Path:
         """The weights that fine-tuning starts from: the site's own, or else the bundled ones."""
         return self.folder.assets.get("network", bundled("mono_small.safetensors"))
-
-    @property
-    def input_width_px(self) -> int:
-        """How wide networks see the images, as a job chooses it."""
-        return usual_input_width_px(self.frames, self.rig)
 
     @property
     def usual_decode(self) -> Decode:
@@ -163,10 +157,7 @@ def site_of(number: int, folder: SiteFolder, store: StageStore, stages: Mapping[
 
 def untrained(site: Site, decode: Decode) -> Trained:
     """What fine-tuning starts from."""
-    network = load_monocular(site.start)
-    if isinstance(network, SmallNetwork):
-        network.input_width_px = site.input_width_px
-    return Trained(network, decode, SdFactors())
+    return Trained(load_monocular(site.start), decode, SdFactors())
 
 
 def finetuned_by_stage(site: Site, options: Mapping[str, Any]) -> Trained:
@@ -191,7 +182,7 @@ def finetuned_on(
 def views(site: Site, part: str, lifts: Sequence[Vehicles3D], *, complete: bool = True) -> list[SiteView]:
     """The frames of a part of the split, labelled with ``lifts``; ``complete``: as `site_views`."""
     left_out = site.split.left_out_tracks[part]
-    return site_views(site.of(part), site.frames, lifts, site.rig, left_out, site.input_width_px, complete=complete)
+    return site_views(site.of(part), site.frames, lifts, site.rig, left_out, complete=complete)
 
 
 def true_lifts(site: Site) -> list[Vehicles3D]:

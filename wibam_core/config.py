@@ -114,8 +114,8 @@ class FinetuneConfig(StageConfig):
         ge=320,
         le=1920,
         multiple_of=32,
-        description="'small': how wide the network sees the images; unless given, as wide as they are stored, but at"
-        " least 640 and at most 960; a step takes as much longer as an image has more pixels",
+        description="'small': how wide the network sees the images; unless given, 640; a step takes as much longer as"
+        " an image has more pixels",
     )
     steps: int = Field(600, ge=1)
     batch_size: int = Field(8, ge=1)

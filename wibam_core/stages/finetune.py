@@ -13,13 +13,13 @@ from wibam_core.formats.framestore import FrameStore
 from wibam_core.formats.rig import read_rig
 from wibam_core.formats.vehicles3d import read_vehicles3d
 from wibam_core.models.export import export_small
-from wibam_core.models.small import SmallNetwork
+from wibam_core.models.small import INPUT_WIDTH_PX, SmallNetwork
 from wibam_core.models.usage import Usage
 from wibam_core.models.weights import bundled, load_centertrack, load_network, origin_of, save_network
 from wibam_core.stages.base import StageContext, Summary
 from wibam_core.stages.graph import require_network
 from wibam_core.training.calibration import sd_factors
-from wibam_core.training.dataset import SiteView, site_views, usual_input_width_px
+from wibam_core.training.dataset import SiteView, site_views
 from wibam_core.training.device import choose_device
 from wibam_core.training.finetune import FinetuneResult, SiteDataset, finetune
 
@@ -69,7 +69,7 @@ def _dataset(context: StageContext, config: FinetuneConfig) -> tuple[SiteDataset
     lifts = read_vehicles3d(context.upstream["lift"] / "lifts.parquet")
     split = Split.from_json(json.loads((context.upstream["dataset"] / "split.json").read_text(encoding="utf-8")))
 
-    width_px = config.input_width_px or usual_input_width_px(frames, rig)
+    width_px = config.input_width_px or INPUT_WIDTH_PX
     complete = config.method != "paper"  # which learns from detections alone
 
     def subset(name: str) -> list[SiteView]:

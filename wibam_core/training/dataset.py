@@ -24,9 +24,6 @@ _FRONT_SD_RAD = 1.0
 #: A track's velocity is taken from instants at most this far apart.
 _VELOCITY_SPAN_NS = 2_000_000_000
 
-#: Unless options say otherwise, no image is seen wider: a step takes as much longer as it has more pixels.
-_WIDEST_INPUT_PX = 960
-
 _NO_IMAGE = np.zeros((0, 0, 3), np.uint8)
 
 
@@ -106,14 +103,6 @@ def site_views(
                 others = _others(camera_id, instant.vehicles, boxes, tuple(rig))
                 views.append(SiteView(camera_id, instant.time_ns, labels, *others))
     return views
-
-
-def usual_input_width_px(frames: FrameStore, rig: CameraRig) -> int:
-    """How wide a site's images are best seen: as wide as they are stored, but not narrower than the network saw them
-    before, and not wider than `_WIDEST_INPUT_PX`."""
-    stored = max((frames.size(camera_id)[0] for camera_id in rig), default=INPUT_WIDTH_PX)
-    width = min(max(stored, INPUT_WIDTH_PX), _WIDEST_INPUT_PX)
-    return width - width % INPUT_MULTIPLE
 
 
 def input_width_of(views: Iterable[SiteView]) -> int:

@@ -5,16 +5,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from tests.builders import look_at
 from tests.site_dataset import LATENESS_NS, PERIOD_NS, TinySite, boxes_at, tiny_site, without_detection
 from wibam_core.detection.boxes import pairwise_iou
-from wibam_core.formats.framestore import FrameStore, FrameStoreWriter
 from wibam_core.geometry.box3d import corners
 from wibam_core.models.inference import prepare_image
 from wibam_core.models.small import INPUT_WIDTH_PX
 from wibam_core.models.trunk import INPUT_MULTIPLE
-from wibam_core.scene import CameraRig
-from wibam_core.training.dataset import ImageCache, input_width_of, site_views, usual_input_width_px
+from wibam_core.training.dataset import ImageCache, input_width_of, site_views
 
 
 @pytest.fixture(scope="module")
@@ -44,20 +41,6 @@ def test_labels_are_as_wide_as_the_network_sees_the_images(site: TinySite, tmp_p
     assert image.shape == (256, 960, 3)
     prepared = prepare_image(site.frames.image(wide[3].camera_id, wide[3].time_ns), 960)
     np.testing.assert_array_equal(image[: len(prepared)], prepared)
-
-
-@pytest.mark.parametrize(
-    ("stored_px", "seen_px"), [((320, 480), 640), ((640, 720), 704), ((960, 640), 960), ((1920,), 960)]
-)
-def test_images_are_seen_as_wide_as_they_are_stored_within_limits(
-    tmp_path: Path, stored_px: tuple[int, ...], seen_px: int
-) -> None:
-    cameras = {f"cam{k}": look_at((20.0, k, 6.0), width_px=1920, height_px=480) for k in range(len(stored_px))}
-    with FrameStoreWriter(tmp_path, 90) as writer:
-        for camera_id, width in zip(cameras, stored_px, strict=True):
-            writer.add(camera_id, 0, 0, np.zeros((width // 4, width, 3), np.uint8))
-        writer.close()
-    assert usual_input_width_px(FrameStore(tmp_path), CameraRig(cameras)) == seen_px
 
 
 def test_confidence_and_unknown_fronts_come_from_the_fits(site: TinySite) -> None:
