@@ -171,12 +171,12 @@ def _edges(look: SecondLook, frames: list[Frame], cameras: CameraTensors, values
     """Edges of the vehicles of a batch after a second look at the frames' own pixels, px of the network's input."""
     native = torch.tensor([frame.image.shape[1::-1] for frame in frames], dtype=torch.float64)
     scale = (native / cameras.size)[values.image].repeat(1, 2)
-    boxes = ((boxes2d_px(values) + 0.5) * scale - 0.5).numpy()
-    rows = [np.flatnonzero(values.image.numpy() == index) for index in range(len(frames))]
+    boxes = (boxes2d_px(values) + 0.5) * scale - 0.5
+    counts = values.image.bincount(minlength=len(frames)).tolist()  # peaks come image by image
     with ThreadPoolExecutor(max_workers=torch.get_num_threads()) as pool:
-        seen = list(pool.map(look.edges, (frame.image for frame in frames), (boxes[mine] for mine in rows)))
-    order = torch.from_numpy(np.argsort(np.concatenate(rows)))
-    px, sd_px = (torch.cat(list(of))[order] for of in zip(*seen, strict=True))
+        of_images = (of.numpy() for of in boxes.split(counts))
+        seen = list(pool.map(look.edges, (frame.image for frame in frames), of_images))
+    px, sd_px = (torch.cat(of) for of in zip(*seen, strict=True))
     return Edges((px + 0.5) / scale - 0.5, sd_px / scale)
 
 

@@ -262,7 +262,7 @@ def test_edges_of_a_second_look_count_as_far_as_they_are_sure() -> None:
 def test_vehicles_do_not_hide_edges_of_a_second_look() -> None:
     """They are those of the whole vehicle: one that stands in front changes nothing."""
     boxes, classes = vehicles()
-    values = told(boxes, classes)
+    values = blurred(told(boxes, classes, (-0.5, -2.0, -2.5, -3.0, -0.5)), seed=1)  # so that edges change something
     edges = Edges(outline_px(boxes, classes), torch.full((24, 4), 0.5, dtype=torch.float64))
     start = boxes + torch.tensor([0.5, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0])
     alone, _ = reconciled(values, start, torch.ones_like(start), CAMERAS[:24], edges)

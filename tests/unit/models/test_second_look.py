@@ -41,6 +41,21 @@ def test_edges_become_exact_as_they_say(look: SecondLook, view: RenderedView, bo
     assert np.median(np.abs(seen.px.numpy() - boxes)[sure] / seen.sd_px.numpy()[sure]) < 2.0
 
 
+def test_hidden_parts_belong_to_the_vehicle(look: SecondLook) -> None:
+    """Edges that something hides are looked for behind it, not at its border."""
+    whole, seen_part = [], []
+    for view in sample_views(310_900, "site", 8, (960, 540)):
+        chosen = view.visibility > 0.3
+        boxes, visible = view.amodal_boxes[chosen], view.visible_boxes[chosen]
+        sides = np.tile(visible[:, 2:] - visible[:, :2], 2)
+        hidden = np.abs(boxes - visible) > 0.15 * sides
+        found = look.edges(view.image, visible).px.numpy()
+        whole.extend((np.abs(found - boxes) / sides)[hidden])
+        seen_part.extend((np.abs(found - visible) / sides)[hidden])
+    assert len(whole) > 10
+    assert np.median(whole) < 0.9 * np.median(seen_part)
+
+
 def test_the_answer_has_the_order_of_the_boxes(look: SecondLook, view: RenderedView, boxes: np.ndarray) -> None:
     given = rough(boxes)
     together = look.edges(view.image, given)
