@@ -4,6 +4,9 @@ import numpy as np
 import pytest
 import torch
 
+from wibam_core.detection.background import StillBackground
+from wibam_core.detection.boxes import Found
+from wibam_core.detection.refine import EdgeRefiner
 from wibam_core.models.second_look import SecondLook
 from wibam_core.synthetic.sampling import RenderedView, sample_views
 
@@ -39,6 +42,21 @@ def test_edges_become_exact_as_they_say(look: SecondLook, view: RenderedView, bo
     before, after = (np.abs(px - boxes)[sure] / sides[sure] for px in (given, seen.px.numpy()))
     assert after.mean() < 0.5 * before.mean()
     assert np.median(np.abs(seen.px.numpy() - boxes)[sure] / seen.sd_px.numpy()[sure]) < 2.0
+
+
+def test_each_vehicle_is_looked_at_once(look: SecondLook, view: RenderedView, boxes: np.ndarray) -> None:
+    """It takes half as long as the two looks of the 2D detector's boxes, which are farther off."""
+    given = np.clip(rough(boxes), -0.5, np.array([960, 540, 960, 540]) - 0.5)
+    found = Found(given, np.ones(len(given)), np.zeros(len(given), np.int64))
+    unknown = StillBackground.unknown(*view.image.shape[:2])
+    once, twice = (
+        EdgeRefiner().refine(view.image, unknown, found, nms_iou=1.0, classify=False, passes=passes)
+        for passes in (1, 2)
+    )
+    seen = look.edges(view.image, given)
+    np.testing.assert_allclose(seen.px.numpy(), once.amodal_boxes, atol=1e-3)
+    np.testing.assert_allclose(seen.sd_px.numpy(), once.amodal_sd, rtol=1e-3)
+    assert np.abs(once.amodal_boxes - twice.amodal_boxes).max() > 0.1
 
 
 def test_hidden_parts_belong_to_the_vehicle(look: SecondLook) -> None:

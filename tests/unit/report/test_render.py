@@ -101,6 +101,13 @@ def test_without_labels_there_is_no_accuracy_but_agreement(page):
     assert 'class="results"' in page and "thin white lines are labels" in page
 
 
+def test_the_bold_figures_are_the_fine_tuned_networks(page):
+    first_row = page[page.index('<th scope="row">BEV IoU</th>') :].partition("</tr>")[0]
+    bold = re.findall(r'<td class="ours">([^<\s]+)', first_row)
+    assert bold == ["0.72"]
+    assert page.count('<th scope="col">baseline</th>') == page.count('<th scope="col">baseline (plane)</th>') == 2
+
+
 def test_the_caption_speaks_of_grey_tracks_only_where_there_are_any(page):
     assert "those involved; all other tracks are grey." in page
     involved = tuple(track for track in report_data().tracks if track.track_id in (1, 3))
