@@ -259,6 +259,22 @@ def test_edges_of_a_second_look_count_as_far_as_they_are_sure() -> None:
     assert error(edges, np.inf) == error(edges + 20.0, np.inf) == pytest.approx(error(edges + 20.0, 1e4), rel=1e-3)
 
 
+def test_edges_of_a_second_look_may_turn_vehicles_more_than_those_of_2d_boxes() -> None:
+    """Both as certain as each other, beside a heading that is off."""
+    boxes, classes = vehicles(60)
+    values = told(boxes, classes, (-3.0, -3.0, -3.0, -2.0, -3.0))
+    alpha = torch.atan2(values.yaw[:, 0], values.yaw[:, 1]) + 0.2
+    values = replace(values, yaw=torch.stack([alpha.sin(), alpha.cos()], dim=1))
+    start, plain, _ = both(values)
+    px = outline_px(boxes, classes)
+    as_sure = 0.7 + 0.03 * (px[:, 2:] - px[:, :2]).repeat(1, 2)
+    beside, _ = reconciled(
+        values, start, torch.ones_like(start), CAMERAS[:60], Edges(px, (as_sure.square() - 0.3**2).sqrt())
+    )
+    by_boxes, by_edges = (float(wrap_angle(found[:, 6] - boxes[:, 6]).abs().mean()) for found in (plain, beside))
+    assert by_edges < 0.9 * by_boxes < 0.9 * 0.2
+
+
 def test_vehicles_do_not_hide_edges_of_a_second_look() -> None:
     """They are those of the whole vehicle: one that stands in front changes nothing."""
     boxes, classes = vehicles()
