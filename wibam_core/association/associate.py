@@ -1,4 +1,8 @@
-"""Multi-view vehicles: ground points of all cameras' boxes are clustered at each instant, clusters linked over time."""
+"""Multi-view vehicles: rays of all cameras' boxes are clustered at each instant, and followed in the images over time.
+
+What mostly meets in one cluster while it is followed is one vehicle (`grouping`), and so is what goes on where one was
+hidden (`stitching`).
+"""
 
 from __future__ import annotations
 
@@ -10,8 +14,10 @@ from typing import Any
 import numpy as np
 
 from wibam_core.association.dpmeans import constrained_dp_means
-from wibam_core.association.linking import Sightings, link
+from wibam_core.association.grouping import group
 from wibam_core.association.rays import POINT_SD_M, ground_covariances, ground_points, rig_centre, within_range
+from wibam_core.association.stitching import Sightings, stitch
+from wibam_core.association.tracklets import tracklets
 from wibam_core.config import AssociateConfig
 from wibam_core.errors import NoMultiViewVehicles, NoVehicles
 from wibam_core.progress import Progress, part, silent
@@ -84,8 +90,10 @@ def associate(
         if index % 50 == 0:
             clustering(index / len(rays), "clustering rays")
         clusters.append(_cluster(instant_rays, config.cluster_radius_m))
-    progress(0.8, "linking over time")
-    tracks = link([c.sightings for c in clusters], config.max_speed_mps)
+    progress(0.8, "following over time")
+    vehicles = _followed(instants, rays, clusters, tuple(rig))
+    clusters = [_clusters(r, np.unique(v, return_inverse=True)[1]) for r, v in zip(rays, vehicles, strict=True)]
+    tracks = stitch([c.sightings for c in clusters], [np.unique(v) for v in vehicles], config.max_speed_mps)
     classes = _track_classes(clusters, tracks)
     annotated = [
         replace(instant, vehicles=_vehicles(r, c, t, k, tuple(rig)))
@@ -147,8 +155,32 @@ def _instant_rays(instant: AnnotatedInstant, rig: CameraRig, range_m: float) -> 
     return _Rays(*(np.concatenate(column) for column in zip(*parts, strict=True)))
 
 
+def _followed(
+    instants: Sequence[AnnotatedInstant],
+    rays: Sequence[_Rays],
+    clusters: Sequence[_Clusters],
+    camera_ids: tuple[str, ...],
+) -> list[IntArray]:
+    """For every instant the vehicle (N,) that each ray belongs to, over all instants, counted from 0."""
+    numbers = tracklets(instants, camera_ids)
+    of_rays = [
+        np.array([found[camera_ids[c]][row] for c, row in zip(r.cameras, r.rows, strict=True)], dtype=np.int64)
+        for r, found in zip(rays, numbers, strict=True)
+    ]
+    count = 1 + max((int(ids.max(initial=-1)) for found in numbers for ids in found.values()), default=-1)
+    cameras = np.zeros(count, dtype=np.int64)
+    for r, ids in zip(rays, of_rays, strict=True):
+        cameras[ids] = r.cameras
+    vehicle = group(of_rays, [c.labels for c in clusters], cameras)
+    in_range = np.unique(np.concatenate([vehicle[ids] for ids in of_rays]))  # others are of no vehicle
+    return [np.searchsorted(in_range, vehicle[ids]) for ids in of_rays]
+
+
 def _cluster(rays: _Rays, radius_m: float) -> _Clusters:
-    labels = constrained_dp_means(rays.points, rays.cameras, rays.covariances / POINT_SD_M**2, radius_m)
+    return _clusters(rays, constrained_dp_means(rays.points, rays.cameras, rays.covariances / POINT_SD_M**2, radius_m))
+
+
+def _clusters(rays: _Rays, labels: IntArray) -> _Clusters:
     count = int(labels.max(initial=-1)) + 1
     information = np.linalg.inv(rays.covariances)
     total, pull = np.zeros((count, 2, 2)), np.zeros((count, 2))

@@ -130,7 +130,9 @@ def lift(
     never = ~np.isfinite(yaw_sd)
     yaw, yaw_sd = np.where(never, standing.yaw_rad, yaw), np.where(never, standing.axis_sd_rad, yaw_sd)
     information = size_information(first.information.numpy().astype(np.float64))
-    sizes, size_covariance = track_sizes(tracks, parameters[:, 2:5], information, prior_mean, prior_sd)
+    sizes, size_covariance = track_sizes(
+        tracks, parameters[:, 2:5], information, prior_mean, prior_sd, parameters[:, :2]
+    )
     own_size = tracks.scatter(np.repeat(sizes[:, None], tracks.valid.shape[1], axis=1), prior_mean.copy())
     size_sd = np.sqrt(np.diagonal(size_covariance, axis1=1, axis2=2))
     own_size_sd = tracks.scatter(np.repeat(size_sd[:, None], tracks.valid.shape[1], axis=1), prior_sd.copy())

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
+from scipy.spatial import cKDTree
 
 from wibam_core.lifting.trajectory import Tracks
 from wibam_core.scene import FloatArray
@@ -12,6 +13,9 @@ _PASSES = 4
 #: Errors of one vehicle's sightings are alike (the body differs from the template in each of them, and detectors err
 #: for seconds in the same way), so that more sightings than this add nothing.
 _INDEPENDENT_SIGHTINGS = 4.0
+#: Those within this distance of each other see the same sides of a vehicle, hidden by the same: the many of one that
+#: waits count as so many.
+_PLACE_M, _SIGHTINGS_OF_PLACE = 2.0, 3.0
 
 
 def size_information(information: FloatArray) -> FloatArray:
@@ -27,7 +31,12 @@ def size_information(information: FloatArray) -> FloatArray:
 
 
 def track_sizes(
-    tracks: Tracks, log_sizes: FloatArray, information: FloatArray, prior_mean: FloatArray, prior_sd: FloatArray
+    tracks: Tracks,
+    log_sizes: FloatArray,
+    information: FloatArray,
+    prior_mean: FloatArray,
+    prior_sd: FloatArray,
+    places: FloatArray,
 ) -> tuple[FloatArray, FloatArray]:
     """Combine sightings.
 
@@ -37,6 +46,7 @@ def track_sizes(
         information: (N, 3, 3) of their views alone.
         prior_mean: (N, 3) of log sizes, equal within a track.
         prior_sd: (N, 3) of log sizes, equal within a track.
+        places: (N, 2) where the vehicles were, m.
 
     Returns:
         (M, 3) log sizes of the tracks and (M, 3, 3) covariances.
@@ -47,13 +57,15 @@ def track_sizes(
     # a fit is (Λ s + Λ0 μ) / (Λ + Λ0): recover Λ s of the views alone
     message = (((information + own_prior) @ log_sizes[..., None]) - own_prior @ prior_mean[..., None])[..., 0]
     weight = tracks.valid.astype(np.float64)
+    own_share = np.minimum(1.0, _SIGHTINGS_OF_PLACE / _sightings_near(tracks, places))
     lam, eta = information[tracks.rows], message[tracks.rows]
     estimate = mean
     covariance = np.asarray(np.linalg.inv(precision), dtype=np.float64)
     single = log_sizes[tracks.rows]
     spread = np.linalg.inv(lam + precision[:, None]) if len(tracks.rows) else lam
     for _ in range(_PASSES):
-        share = weight * np.minimum(1.0, _INDEPENDENT_SIGHTINGS / np.maximum(weight.sum(axis=1, keepdims=True), 1e-9))
+        share = weight * own_share
+        share *= np.minimum(1.0, _INDEPENDENT_SIGHTINGS / np.maximum(share.sum(axis=1, keepdims=True), 1e-9))
         total = precision + np.einsum("mt,mtij->mij", share, lam)
         covariance = np.asarray(np.linalg.inv(total), dtype=np.float64)
         pull = (precision @ mean[..., None])[..., 0] + np.einsum("mt,mti->mi", share, eta)
@@ -62,3 +74,12 @@ def track_sizes(
         squared = np.einsum("mti,mtij,mtj->mt", off, np.linalg.inv(spread), off) / 3
         weight = tracks.valid / (1 + squared / _ROBUST_SD**2)
     return estimate, covariance
+
+
+def _sightings_near(tracks: Tracks, places: FloatArray) -> FloatArray:
+    """(M, T) how many sightings of its track were made near the place of each, itself included; 1 where padded."""
+    count = np.ones(tracks.valid.shape)
+    for k, sightings in enumerate(tracks.valid.sum(axis=1).tolist()):
+        own = places[tracks.rows[k, :sightings]]
+        count[k, :sightings] = cKDTree(own).query_ball_point(own, _PLACE_M, return_length=True)
+    return count

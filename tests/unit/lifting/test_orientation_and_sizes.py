@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 import numpy as np
+import pytest
 
 from wibam_core.lifting.observations import Observations
 from wibam_core.lifting.orientation import UNKNOWN_YAW_SD_RAD, standing_headings
@@ -74,18 +75,35 @@ def test_a_track_s_size_is_better_than_its_sightings_and_ignores_wild_ones() -> 
     info = np.tile(np.eye(3) / noise**2, (n, 1, 1))
     seen = true + rng.normal(0, noise, (n, 3))
     fits = (info[0, 0, 0] * seen + 100 * mean) / (info[0, 0, 0] + 100)
-    size, covariance = track_sizes(tracks, fits, info, mean, sd)
+    driving = 5.0 * np.arange(n)[:, None] * [1.0, 0.0]
+    size, covariance = track_sizes(tracks, fits, info, mean, sd, driving)
     assert np.abs(size[0] - true).max() < 0.03
     assert np.abs(size[0] - true).mean() < np.abs(fits - true).mean()
     fits[:5] += 0.6
-    spoiled, _ = track_sizes(tracks, fits, info, mean, sd)
+    spoiled, _ = track_sizes(tracks, fits, info, mean, sd, driving)
     assert np.abs(spoiled[0] - true).max() < 0.04
     assert (np.sqrt(np.diagonal(covariance[0])) < 0.03).all()
+
+
+def test_a_long_wait_does_not_outweigh_what_a_drive_shows() -> None:
+    """Waiting, a vehicle shows nothing of its length; driving, all of it."""
+    waits, drives = 200, 8
+    n = waits + drives
+    tracks = Tracks.group(np.zeros(n, np.int64), np.arange(n))
+    mean, sd = np.tile(np.log([8.0, 2.5, 3.2]), (n, 1)), np.tile([0.2, 0.06, 0.12], (n, 1))
+    along = np.concatenate([np.zeros(waits), 5.0 * np.arange(1, drives + 1)])
+    info = np.zeros((n, 3, 3))
+    info[:waits, 1, 1] = info[waits:, 0, 0] = 0.05**-2
+    fits = mean.copy()
+    fits[waits:, 0] += np.log(6.2 / 8.0) * 0.05**-2 / (0.05**-2 + 0.2**-2)
+    size, covariance = track_sizes(tracks, fits, info, mean, sd, along[:, None] * [1.0, 0.0])
+    assert np.exp(size[0, 0]) == pytest.approx(6.2, abs=0.1)
+    assert covariance[0, 0, 0] ** 0.5 < 0.05
 
 
 def test_without_information_the_prior_remains() -> None:
     tracks = Tracks.group(np.zeros(3, np.int64), np.arange(3))
     mean, sd = np.tile(np.log([4.4, 1.8, 1.5]), (3, 1)), np.full((3, 3), 0.1)
-    size, covariance = track_sizes(tracks, mean, np.zeros((3, 3, 3)), mean, sd)
+    size, covariance = track_sizes(tracks, mean, np.zeros((3, 3, 3)), mean, sd, np.zeros((3, 2)))
     assert np.allclose(size[0], mean[0])
     assert np.allclose(np.sqrt(np.diagonal(covariance[0])), 0.1)

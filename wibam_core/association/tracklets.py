@@ -1,0 +1,74 @@
+"""Boxes of one camera followed over time in the image: there a vehicle hardly moves from one frame to the next."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from scipy.optimize import linear_sum_assignment
+
+from wibam_core.geometry.iou import image_iou
+from wibam_core.scene import AnnotatedInstant, Detections2D, FloatArray, IntArray
+
+#: A box that overlaps where another was expected by less than this is none of its vehicle's.
+_LEAST_IOU = 0.3
+#: A vehicle that is not found for longer begins anew.
+_LONGEST_GAP_S = 0.5
+#: How fast the speed of a box's edges follows what is seen.
+_SPEED_GAIN = 0.4
+
+
+def tracklets(instants: Sequence[AnnotatedInstant], camera_ids: Sequence[str]) -> list[dict[str, IntArray]]:
+    """Number the boxes of every camera so that consecutive ones of a vehicle have one number.
+
+    Args:
+        instants: in order of time.
+        camera_ids: whose boxes.
+
+    Returns:
+        For every instant, by camera, the number (N,) of each box, unique over all cameras.
+    """
+    found: list[dict[str, IntArray]] = [{} for _ in instants]
+    count = 0
+    for camera_id in camera_ids:
+        active = _Active.none()
+        for number, instant in enumerate(instants):
+            seen = instant.detections.get(camera_id)
+            if seen is not None:
+                found[number][camera_id], count = active.follow(seen, count)
+    return found
+
+
+class _Active:
+    """The boxes that may be gone on with: numbers (T,), boxes (T, 4), speeds of their edges (T, 4), times (T,) s."""
+
+    def __init__(self, ids: IntArray, boxes: FloatArray, speeds: FloatArray, times_s: FloatArray) -> None:
+        self.ids, self.boxes, self.speeds, self.times_s = ids, boxes, speeds, times_s
+
+    @classmethod
+    def none(cls) -> _Active:
+        return cls(np.empty(0, np.int64), np.empty((0, 4)), np.empty((0, 4)), np.empty(0))
+
+    def follow(self, seen: Detections2D, count: int) -> tuple[IntArray, int]:
+        """Numbers (N,) of the boxes seen, new ones from ``count`` on, and the next new number."""
+        now_s = seen.frame_time_ns * 1e-9
+        alive = now_s - self.times_s <= _LONGEST_GAP_S
+        since = (now_s - self.times_s[alive])[:, None]
+        ids, boxes, speeds = self.ids[alive], self.boxes[alive], self.speeds[alive]
+        times_s = self.times_s[alive]
+        overlap = image_iou(boxes + speeds * since, seen.whole_boxes)
+        rows, columns = linear_sum_assignment(-overlap)
+        good = overlap[rows, columns] >= _LEAST_IOU
+        rows, columns = rows[good], columns[good]
+        names = np.full(len(seen), -1, dtype=np.int64)
+        names[columns] = ids[rows]
+        fresh = np.flatnonzero(names < 0)
+        names[fresh] = count + np.arange(len(fresh))
+        moved = (seen.whole_boxes[columns] - boxes[rows]) / np.maximum(since[rows], 1e-3)
+        speeds[rows] += _SPEED_GAIN * (moved - speeds[rows])
+        boxes[rows], times_s[rows] = seen.whole_boxes[columns], now_s
+        self.ids = np.concatenate([ids, names[fresh]])
+        self.boxes = np.concatenate([boxes, seen.whole_boxes[fresh]])
+        self.speeds = np.concatenate([speeds, np.zeros((len(fresh), 4))])
+        self.times_s = np.concatenate([times_s, np.full(len(fresh), now_s)])
+        return names, count + len(fresh)
