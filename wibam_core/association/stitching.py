@@ -19,17 +19,18 @@ from wibam_core.scene import FloatArray, IntArray
 
 #: The end of a track is what was seen of it within this time.
 _END_S = 1.5
-_SPEED_SD_MPS = 10.0
+_USUAL_SPEED_MPS = 10.0
 #: A vehicle slower than this stands.
 _STANDING_MPS = 1.0
 #: How long a moving and a standing vehicle may be hidden.
 _LONGEST_MOVING_S, _LONGEST_STANDING_S = 3.0, 45.0
-#: S.d. of a moving vehicle's acceleration meanwhile, and of a standing one's place.
-_ACCELERATION_MPS2, _CREEP_M = 1.0, 0.6
+#: S.d. of a moving vehicle's acceleration meanwhile, about the mean of both ends' speeds and between them; of those
+#: speeds; and of a standing vehicle's place.
+_ACCELERATION_MPS2, _MEAN_ACCELERATION_MPS2, _SPEED_SD_MPS, _CREEP_M = 1.0, 2.0, 1.5, 0.6
 #: What a second of being hidden costs, and a change of class; pairs are not made farther off than the gate, nor where
 #: that and the spread of the places cost more than the most.
 _COST_PER_S, _CLASS_CHANGE_COST = 0.1, 2.0
-_GATE_SD, _MOST_COST = 1.5, 4.5
+_GATE_SD, _MOST_COST = 2.0, 4.5
 _REFUSED = 1e6
 
 
@@ -110,7 +111,7 @@ def _end(
     own = own[np.abs(times_s[own] - at) <= _END_S]
     design = np.stack([np.ones(len(own)), times_s[own] - at], axis=1)
     weighted = design / sd_m[own, None] ** 2
-    information = design.T @ weighted + np.diag([0.0, _SPEED_SD_MPS**-2.0])
+    information = design.T @ weighted + np.diag([0.0, _USUAL_SPEED_MPS**-2.0])
     place, velocity = np.linalg.solve(information, weighted.T @ positions[own])
     return at, place, float(np.median(sd_m[own])), velocity
 
@@ -124,17 +125,20 @@ def _costs(ends: _Ends, begins: _Ends, max_speed_mps: float) -> FloatArray:
     slow = [np.linalg.norm(of.velocities, axis=1) < _STANDING_MPS for of in (ends, begins)]
     stands = slow[0][:, None] & slow[1][None] & (hidden_s <= _LONGEST_STANDING_S)
     mean_velocity = 0.5 * (ends.velocities[:, None] + begins.velocities[None])
+    change = np.square(begins.velocities[None] - ends.velocities[:, None]).sum(axis=-1)
+    change /= _SPEED_SD_MPS**2 + (_MEAN_ACCELERATION_MPS2 * hidden_s) ** 2
     best = np.full(hidden_s.shape, np.inf)
-    for possible, off, spread_m in (
-        (stands, moved, np.full_like(hidden_s, _CREEP_M)),
+    for possible, off, spread_m, faster in (
+        (stands, moved, np.full_like(hidden_s, _CREEP_M), 0.0),
         (
             hidden_s <= _LONGEST_MOVING_S,
             moved - mean_velocity * hidden_s[..., None],
             0.5 * _ACCELERATION_MPS2 * hidden_s**2,
+            change,
         ),
     ):
         own = variance + spread_m**2
-        squared = np.square(off).sum(axis=-1) / own
+        squared = np.square(off).sum(axis=-1) / own + faster
         possible = possible & (hidden_s > 0) & ~far & (squared <= _GATE_SD**2)
         # near beginnings that are equally likely: the more certain one wins, as in the Gaussian likelihood
         cost = squared + 2 * np.log(own) + _COST_PER_S * hidden_s

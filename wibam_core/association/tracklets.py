@@ -10,8 +10,9 @@ from scipy.optimize import linear_sum_assignment
 from wibam_core.geometry.iou import image_iou
 from wibam_core.scene import AnnotatedInstant, Detections2D, FloatArray, IntArray
 
-#: A box that overlaps where another was expected by less than this is none of its vehicle's.
-_LEAST_IOU = 0.3
+#: A box that overlaps where another was expected by less than this is none of its vehicle's: right after that was seen,
+#: and less for every second since, down to the least.
+_IOU_AT_ONCE, _IOU_PER_S, _LEAST_IOU = 0.55, 0.5, 0.3
 #: A vehicle that is not found for longer begins anew.
 _LONGEST_GAP_S = 0.5
 #: How fast the speed of a box's edges follows what is seen.
@@ -57,8 +58,9 @@ class _Active:
         ids, boxes, speeds = self.ids[alive], self.boxes[alive], self.speeds[alive]
         times_s = self.times_s[alive]
         overlap = image_iou(boxes + speeds * since, seen.whole_boxes)
-        rows, columns = linear_sum_assignment(-overlap)
-        good = overlap[rows, columns] >= _LEAST_IOU
+        allowed = overlap >= np.maximum(_IOU_AT_ONCE - _IOU_PER_S * since, _LEAST_IOU)
+        rows, columns = linear_sum_assignment(np.where(allowed, -overlap, 0.0))
+        good = allowed[rows, columns]
         rows, columns = rows[good], columns[good]
         names = np.full(len(seen), -1, dtype=np.int64)
         names[columns] = ids[rows]

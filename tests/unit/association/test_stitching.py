@@ -54,6 +54,12 @@ def test_a_moving_vehicle_is_expected_where_its_speed_takes_it() -> None:
     assert stitched((driving(12.0), 0, 2), (driving(12.0), 6, 8)) == [{0}, {1}]
 
 
+def test_no_vehicle_stops_at_once() -> None:
+    """Where one that stands was hidden by one that passes, the first does not go on as the second."""
+    assert stitched((driving(12.0), 0, 2), (standing(25.0), 2.2, 5)) == [{0}, {1}]
+    assert stitched((driving(2.0), 0, 2), (standing(4.5), 2.6, 5)) == [{0}, {0}]
+
+
 def test_no_vehicle_is_faster_than_the_limit() -> None:
     tracks = ((driving(12.0), 0, 2), (driving(12.0), 3, 5))
     assert stitched(*tracks, max_speed_mps=8.0) == [{0}, {1}]

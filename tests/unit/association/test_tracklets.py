@@ -41,6 +41,24 @@ def test_a_short_gap_is_bridged_at_the_vehicle_s_speed_and_a_long_one_is_not() -
         assert len(names) == count
 
 
+def test_a_vehicle_that_passes_a_standing_one_does_not_take_its_number() -> None:
+    """For a moment one box alone is found of both."""
+    boxes = []
+    for k in range(40):
+        passing = car(8.0 * k, 112.0)
+        boxes.append([passing] if abs(8.0 * k - 150.0) < 30.0 else [car(150.0), passing])
+    found = [ids["cam1"].tolist() for ids in tracklets(instants(boxes), ["cam1"])]
+    assert {ids[-1] for ids in found} == {1}
+    assert {ids[0] for ids in found if len(ids) == 2} <= {0, 2}
+
+
+def test_after_a_while_a_vehicle_may_be_farther_off() -> None:
+    for step, count in ((1, 2), (5, 1)):  # the same shift after 0.08 s and after 0.4 s
+        boxes = [[car(0.0)], *[[]] * (step - 1), [car(20.0)]]
+        names = {int(i) for ids in tracklets(instants(boxes), ["cam1"]) for i in ids["cam1"]}
+        assert len(names) == count
+
+
 def test_a_box_elsewhere_is_another_vehicle() -> None:
     found = tracklets(instants([[car(0.0)], [car(90.0)]]), ["cam1"])
     assert [ids["cam1"].tolist() for ids in found] == [[0], [1]]
