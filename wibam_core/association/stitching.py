@@ -14,6 +14,8 @@ from typing import NamedTuple
 
 import numpy as np
 from scipy.optimize import linear_sum_assignment
+from scipy.sparse import coo_array
+from scipy.sparse.csgraph import connected_components
 
 from wibam_core.scene import FloatArray, IntArray
 
@@ -31,7 +33,6 @@ _ACCELERATION_MPS2, _MEAN_ACCELERATION_MPS2, _SPEED_SD_MPS, _CREEP_M = 1.0, 2.0,
 #: that and the spread of the places cost more than the most.
 _COST_PER_S, _CLASS_CHANGE_COST = 0.1, 2.0
 _GATE_SD, _MOST_COST = 2.0, 4.5
-_REFUSED = 1e6
 
 
 @dataclass(frozen=True, eq=False)
@@ -63,19 +64,23 @@ def stitch(instants: Sequence[Sightings], tracks: Sequence[IntArray], max_speed_
 
     Args:
         instants: in order of time.
-        tracks: for every instant (N,) the track of each sighting, counted from 0 without one left out.
+        tracks: for every instant (N,) the track of each sighting, from 0 on.
         max_speed_mps: no vehicle is faster.
 
     Returns:
-        The same with the ids anew; −1 for what is seen at one instant only.
+        The same with the ids anew, 0, 1, ...; −1 for what is seen at one instant only.
     """
-    ids = np.concatenate([*tracks, np.empty(0, np.int64)])
-    count = int(ids.max(initial=-1)) + 1
-    if not count:
-        return list(tracks)
+    sightings = np.bincount(np.concatenate([*tracks, np.empty(0, np.int64)]))
+    kept = sightings > 1
+    number = np.where(kept, np.cumsum(kept) - 1, -1)
+    tracks = [number[own] for own in tracks]
+    count = int(kept.sum())
+    if count < 2:
+        return tracks
+    ids = np.concatenate(tracks)
     times_ns = np.concatenate([seen.times_ns for seen in instants])
     order = np.lexsort((times_ns, ids))
-    rows = np.split(order, np.searchsorted(ids[order], np.arange(count)))[1:]
+    rows = np.split(order, np.searchsorted(ids[order], np.arange(count)))[1:]  # without what is in no track
     times_s = (times_ns - times_ns.min()) * 1e-9
     positions = np.concatenate([seen.positions for seen in instants])
     sd_m = np.concatenate([seen.sd_m for seen in instants])
@@ -87,19 +92,53 @@ def stitch(instants: Sequence[Sightings], tracks: Sequence[IntArray], max_speed_
             *(np.array(of) for of in zip(*(_end(own, which, times_s, positions, sd_m) for own in rows), strict=True))
         )
 
-    cost = _costs(ends_at(-1), ends_at(0), max_speed_mps)
-    cost += _CLASS_CHANGE_COST * (usual[:, None] != usual)
-    cost = np.where(cost <= _MOST_COST, cost - _MOST_COST, _REFUSED)
-    earlier, later = linear_sum_assignment(np.minimum(cost, 0.0))
-    good = cost[earlier, later] < 0
+    ends, begins = ends_at(-1), ends_at(0)
+    earlier, later = _candidates(ends.times_s, begins.times_s)
+    cost = _costs(_of(ends, earlier), _of(begins, later), max_speed_mps)
+    cost += _CLASS_CHANGE_COST * (usual[earlier] != usual[later])
+    near = cost <= _MOST_COST
+    earlier, later = _matched(earlier[near], later[near], cost[near] - _MOST_COST - 1e-9, count)
     name = np.arange(count)
-    before = dict(zip(later[good].tolist(), earlier[good].tolist(), strict=True))
+    before = dict(zip(later.tolist(), earlier.tolist(), strict=True))
     for track in np.argsort([times_s[own[0]] for own in rows], kind="stable").tolist():
         if track in before:
             name[track] = name[before[track]]
-    kept = np.bincount(name[ids], minlength=count) > 1
-    number = np.where(kept, np.cumsum(kept) - 1, -1)
-    return [number[name[own]] for own in tracks]
+    name = np.unique(name, return_inverse=True)[1]
+    return [np.where(own >= 0, name[own], -1) for own in tracks]
+
+
+def _of(ends: _Ends, rows: IntArray) -> _Ends:
+    return _Ends(*(of[rows] for of in ends))
+
+
+def _candidates(end_s: FloatArray, begin_s: FloatArray) -> tuple[IntArray, IntArray]:
+    """Pairs of tracks of which the second begins (T,) after the first ends (T,), and not too long after."""
+    order = np.argsort(begin_s, kind="stable")
+    first = np.searchsorted(begin_s[order], end_s, side="right")
+    last = np.searchsorted(begin_s[order], end_s + max(_LONGEST_MOVING_S, _LONGEST_STANDING_S), side="right")
+    earlier = np.repeat(np.arange(len(end_s)), last - first)
+    later = [order[a:b] for a, b in zip(first, last, strict=True)]
+    return earlier, np.concatenate([*later, np.empty(0, np.int64)])
+
+
+def _matched(earlier: IntArray, later: IntArray, cost: FloatArray, count: int) -> tuple[IntArray, IntArray]:
+    """Pairs of them, each track once as the earlier and once as the later, that cost least together; all costs are < 0.
+
+    Pairs that no chain of candidates connects do not compete, so that long recordings need no large table.
+    """
+    graph = coo_array((np.ones(len(cost)), (earlier, count + later)), shape=(2 * count, 2 * count))
+    part = connected_components(graph, directed=False)[1][earlier]
+    order = np.argsort(part, kind="stable")
+    found = []
+    for own in np.split(order, np.flatnonzero(np.diff(part[order])) + 1):
+        rows, row = np.unique(earlier[own], return_inverse=True)
+        columns, column = np.unique(later[own], return_inverse=True)
+        table = np.zeros((len(rows), len(columns)))
+        table[row, column] = cost[own]
+        chosen = linear_sum_assignment(table)
+        good = table[chosen] < 0
+        found.append((rows[chosen[0][good]], columns[chosen[1][good]]))
+    return np.concatenate([of for of, _ in found]), np.concatenate([of for _, of in found])
 
 
 def _end(
@@ -117,30 +156,29 @@ def _end(
 
 
 def _costs(ends: _Ends, begins: _Ends, max_speed_mps: float) -> FloatArray:
-    """(T, T) of taking a track (row) for the one that another (column) goes on with."""
-    hidden_s = begins.times_s[None] - ends.times_s[:, None]
-    moved = begins.positions[None] - ends.positions[:, None]
-    variance = ends.sd_m[:, None] ** 2 + begins.sd_m[None] ** 2
-    far = np.linalg.norm(moved, axis=-1) > max_speed_mps * hidden_s + _GATE_SD * np.sqrt(variance)
+    """(P,) of P pairs: what it costs to take a track that ends for the one that begins; infinite where it cannot be."""
+    hidden_s = begins.times_s - ends.times_s
+    moved = begins.positions - ends.positions
+    variance = ends.sd_m**2 + begins.sd_m**2
+    far = np.linalg.norm(moved, axis=1) > max_speed_mps * hidden_s + _GATE_SD * np.sqrt(variance)
     slow = [np.linalg.norm(of.velocities, axis=1) < _STANDING_MPS for of in (ends, begins)]
-    stands = slow[0][:, None] & slow[1][None] & (hidden_s <= _LONGEST_STANDING_S)
-    mean_velocity = 0.5 * (ends.velocities[:, None] + begins.velocities[None])
-    change = np.square(begins.velocities[None] - ends.velocities[:, None]).sum(axis=-1)
+    mean_velocity = 0.5 * (ends.velocities + begins.velocities)
+    change = np.square(begins.velocities - ends.velocities).sum(axis=1)
     change /= _SPEED_SD_MPS**2 + (_MEAN_ACCELERATION_MPS2 * hidden_s) ** 2
-    best = np.full(hidden_s.shape, np.inf)
-    for possible, off, spread_m, faster in (
-        (stands, moved, np.full_like(hidden_s, _CREEP_M), 0.0),
+    ways = (
+        (slow[0] & slow[1] & (hidden_s <= _LONGEST_STANDING_S), moved, _CREEP_M, 0.0),
         (
             hidden_s <= _LONGEST_MOVING_S,
-            moved - mean_velocity * hidden_s[..., None],
+            moved - mean_velocity * hidden_s[:, None],
             0.5 * _ACCELERATION_MPS2 * hidden_s**2,
             change,
         ),
-    ):
+    )
+    best = np.full(len(hidden_s), np.inf)
+    for possible, off, spread_m, faster in ways:
         own = variance + spread_m**2
-        squared = np.square(off).sum(axis=-1) / own + faster
-        possible = possible & (hidden_s > 0) & ~far & (squared <= _GATE_SD**2)
+        squared = np.square(off).sum(axis=1) / own + faster
         # near beginnings that are equally likely: the more certain one wins, as in the Gaussian likelihood
         cost = squared + 2 * np.log(own) + _COST_PER_S * hidden_s
-        best = np.where(possible, np.minimum(best, cost), best)
+        best = np.where(possible & ~far & (squared <= _GATE_SD**2), np.minimum(best, cost), best)
     return best

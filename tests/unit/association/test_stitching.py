@@ -85,9 +85,15 @@ def test_a_vehicle_of_another_class_must_fit_better(other: int, same: bool) -> N
     assert (found[0] == found[1]) == same
 
 
-def test_what_is_seen_once_has_no_track_unless_it_goes_on() -> None:
+def test_what_is_seen_once_has_no_track() -> None:
     assert stitched((standing(0.0), 0, 3), (standing(40.0), 1, 1)) == [{0}, {-1}]
-    assert stitched((standing(0.0), 0, 3), (standing(0.2), 5, 5)) == [{0}, {0}]
+    assert stitched((standing(40.0), 1, 1), (standing(0.0), 0, 3)) == [{-1}, {0}]
+
+
+def test_chains_that_do_not_compete_are_matched_one_by_one() -> None:
+    """Two that wait far from each other, both hidden twice; and one that is not seen again."""
+    tracks = [(standing(x), begin, begin + 2.0) for begin in (0, 10, 20) for x in (0.0, 50.0)]
+    assert stitched(*tracks, (standing(90.0), 0, 2)) == [{0}, {1}, {0}, {1}, {0}, {1}, {2}]
 
 
 def test_instants_without_vehicles() -> None:
