@@ -28,6 +28,7 @@ from wibam_core.formats.framestore import FrameStore
 from wibam_core.formats.labels import read_labels
 from wibam_core.formats.rig import read_rig
 from wibam_core.formats.vehicles3d import read_vehicles3d
+from wibam_core.geometry.se3 import normalise_angle
 from wibam_core.models.centertrack import predict_vehicles
 from wibam_core.models.decode import Decode
 from wibam_core.models.dla34 import DLA34
@@ -41,7 +42,7 @@ from wibam_core.stages.store import StageStore
 from wibam_core.synthetic.options import SimulationOptions
 from wibam_core.synthetic.recorder import record_site
 from wibam_core.training.calibration import sd_factors
-from wibam_core.training.dataset import SiteView, site_views
+from wibam_core.training.dataset import FRONT_SD_RAD, SiteView, site_views
 from wibam_core.training.device import choose_device_to_detect
 from wibam_core.training.finetune import SiteDataset, finetune
 
@@ -246,7 +247,10 @@ def figures(site: Site, trained: Trained) -> Figures:
 
 
 def label_figures(site: Site) -> Figures:
-    """The metrics of the fits in the training part, of those that are a true vehicle."""
+    """The metrics of the fits in the training part, of those that are a true vehicle.
+
+    A heading that does not tell front from rear counts by its axis alone, as it is taught.
+    """
     times = set(site.split.times_ns["train"])
     ours, theirs = [np.empty((0, 7))], [np.empty((0, 7))]
     for vehicles in site.lifts:
@@ -254,7 +258,10 @@ def label_figures(site: Site) -> Figures:
         if vehicles.time_ns in times and labelled is not None:
             truth = labelled.vehicles.boxes
             match = match_on_ground(truth, np.ones(len(truth), bool), vehicles.boxes, EvaluateConfig().match_distance_m)
-            ours.append(vehicles.boxes[match.detections])
-            theirs.append(truth[match.labels])
+            fits, boxes = vehicles.boxes[match.detections].copy(), truth[match.labels]
+            off = np.abs(normalise_angle(fits[:, 6] - boxes[:, 6])) > np.pi / 2
+            fits[off & (vehicles.sd[match.detections, 6] > FRONT_SD_RAD), 6] += np.pi
+            ours.append(fits)
+            theirs.append(boxes)
     metrics = compare(np.concatenate(ours), np.concatenate(theirs))
     return {name: mean_sd(getattr(metrics, name)) for name in METRICS} | {"matched": sum(map(len, ours))}

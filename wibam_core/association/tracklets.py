@@ -15,8 +15,6 @@ from wibam_core.scene import AnnotatedInstant, Detections2D, IntArray
 _IOU_AT_ONCE, _IOU_PER_S, _LEAST_IOU = 0.55, 0.5, 0.3
 #: A vehicle that is not found for longer begins anew.
 _LONGEST_GAP_S = 0.5
-#: A vehicle that was seen so often is known to be one.
-_KNOWN_SIGHTINGS = 3
 #: How fast the speed of a box's edges follows what is seen.
 _SPEED_GAIN = 0.4
 
@@ -46,13 +44,13 @@ class _Active:
     """The T boxes that may be gone on with.
 
     Attributes:
-        ids: (T,) numbers. sightings: (T,) how often each was seen. times_s: (T,) when last.
+        ids: (T,) numbers. times_s: (T,) when each was seen last.
         boxes: (T, 4) then. speeds: (T, 4) of their edges, px/s.
     """
 
     def __init__(self) -> None:
-        self.ids, self.sightings = np.empty(0, np.int64), np.empty(0, np.int64)
-        self.times_s, self.boxes, self.speeds = np.empty(0), np.empty((0, 4)), np.empty((0, 4))
+        self.ids, self.times_s = np.empty(0, np.int64), np.empty(0)
+        self.boxes, self.speeds = np.empty((0, 4)), np.empty((0, 4))
 
     def follow(self, seen: Detections2D, count: int) -> tuple[IntArray, int]:
         """Numbers (N,) of the boxes seen, new ones from ``count`` on, and the next new number."""
@@ -60,17 +58,12 @@ class _Active:
         alive = now_s - self.times_s <= _LONGEST_GAP_S
         since = (now_s - self.times_s[alive])[:, None]
         ids, boxes, speeds = self.ids[alive], self.boxes[alive], self.speeds[alive]
-        times_s, sightings = self.times_s[alive], self.sightings[alive]
+        times_s = self.times_s[alive]
         overlap = image_iou(boxes + speeds * since, seen.whole_boxes)
         allowed = overlap >= np.maximum(_IOU_AT_ONCE - _IOU_PER_S * since, _LEAST_IOU)
         rows, columns = linear_sum_assignment(np.where(allowed, -overlap, 0.0))
         good = allowed[rows, columns]
         rows, columns = rows[good], columns[good]
-        # where one box is found of two vehicles that are in each other's way, it may be either's
-        lost = sightings >= _KNOWN_SIGHTINGS
-        lost[rows] = False
-        sure = ~allowed[lost][:, columns].any(axis=0)
-        rows, columns = rows[sure], columns[sure]
         names = np.full(len(seen), -1, dtype=np.int64)
         names[columns] = ids[rows]
         fresh = np.flatnonzero(names < 0)
@@ -78,10 +71,8 @@ class _Active:
         moved = (seen.whole_boxes[columns] - boxes[rows]) / np.maximum(since[rows], 1e-3)
         speeds[rows] += _SPEED_GAIN * (moved - speeds[rows])
         boxes[rows], times_s[rows] = seen.whole_boxes[columns], now_s
-        sightings[rows] += 1
         self.ids = np.concatenate([ids, names[fresh]])
         self.boxes = np.concatenate([boxes, seen.whole_boxes[fresh]])
         self.speeds = np.concatenate([speeds, np.zeros((len(fresh), 4))])
-        self.sightings = np.concatenate([sightings, np.ones(len(fresh), np.int64)])
         self.times_s = np.concatenate([times_s, np.full(len(fresh), now_s)])
         return names, count + len(fresh)

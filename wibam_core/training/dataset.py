@@ -19,7 +19,7 @@ from wibam_core.training.overlooked import overlooked
 from wibam_core.training.views import FloatArray, LabelledView
 
 #: Labels whose heading is less certain than this do not tell front from rear.
-_FRONT_SD_RAD = 1.0
+FRONT_SD_RAD = 1.0
 
 #: A track's velocity is taken from instants at most this far apart.
 _VELOCITY_SPAN_NS = 2_000_000_000
@@ -146,7 +146,7 @@ def _labels3d(
             continue
         boxes3d[row] = fits.box_at(vehicle.track_id, time_ns, seen.frame_time_ns)
         confidence[row] = fit.confidence
-        front_known[row] = not fit.yaw_sd_rad > _FRONT_SD_RAD
+        front_known[row] = not fit.yaw_sd_rad > FRONT_SD_RAD
     return {"boxes3d": boxes3d, "confidence": confidence, "front_known": front_known}
 
 
@@ -173,7 +173,7 @@ def _completed(
     missed = overlooked(labels.camera, boxes3d, classes, np.array([track in found for track in tracks]), known)
     taught = np.array([tracks[row] not in left_out_tracks and confidence[row] > 0 for row in missed.rows], bool)
     rows = missed.rows[taught]
-    front_known = np.array([not its[row].yaw_sd_rad > _FRONT_SD_RAD for row in rows], bool)
+    front_known = np.array([not its[row].yaw_sd_rad > FRONT_SD_RAD for row in rows], bool)
     return replace(
         labels,
         boxes2d=np.concatenate([labels.boxes2d, missed.boxes2d[taught]]),

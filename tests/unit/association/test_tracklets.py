@@ -48,10 +48,8 @@ def test_a_vehicle_that_passes_a_standing_one_does_not_take_its_number() -> None
         passing = car(8.0 * k, 112.0)
         boxes.append([passing] if abs(8.0 * k - 150.0) < 30.0 else [car(150.0), passing])
     found = [ids["cam1"].tolist() for ids in tracklets(instants(boxes), ["cam1"])]
-    assert all(ids == [0, 1] for ids in found[:15])
-    assert not any(0 in ids for ids in found if len(ids) == 1)
-    assert len({tuple(ids) for ids in found[-10:]}) == 1
-    assert found[-1][1] != 0
+    assert {ids[-1] for ids in found} == {1}
+    assert {ids[0] for ids in found if len(ids) == 2} <= {0, 2}
 
 
 def test_after_a_while_a_vehicle_may_be_farther_off() -> None:
