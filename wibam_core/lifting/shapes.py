@@ -46,6 +46,8 @@ FEWEST_TRACKS = 5
 _SIGHTINGS = 8
 _INDEPENDENT_SIGHTINGS = 4.0
 _ROUNDS = 2
+#: A body is corrected if that explains at least this share more: what little is left may be the detector's own errors.
+_LEAST_GAIN = 0.02
 #: Derivatives by the modes are differences over this many of their standard deviations each way.
 _STEP_SD = 0.5
 _ROBUST_TRACK_SD = 2.0
@@ -151,14 +153,15 @@ def learn_shapes(
     own = classes[rows]
     chosen = with_bodies(problem[torch.as_tensor(rows)], shapes.bodies[own])
     fitted = fit(chosen, chosen.prior_mean[:, None], iterations)
-    best, lowest = shapes, _costs(shapes, fitted, own)
+    best, unlearned = shapes, _costs(shapes, fitted, own)
+    lowest = unlearned
     for _ in range(_ROUNDS):
         shapes = _improved(shapes, chosen, fitted, own, track)
         chosen = with_bodies(chosen, shapes.bodies[own])
         fitted = fit(chosen, fitted.parameters[:, None], iterations)
         cost = _costs(shapes, fitted, own)
         best, lowest = best.updated(shapes, cost < lowest), np.minimum(cost, lowest)
-    return best
+    return Shapes.unlearned(templates).updated(best, lowest < (1.0 - _LEAST_GAIN) * unlearned)
 
 
 def _costs(shapes: Shapes, fitted: Fit, classes: IntArray) -> FloatArray:

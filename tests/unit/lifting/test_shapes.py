@@ -72,6 +72,15 @@ def test_a_right_body_is_left_alone(vehicle_class: VehicleClass) -> None:
     np.testing.assert_array_equal(found.bodies[others], TEMPLATES[others])
 
 
+def test_a_body_that_explains_hardly_more_is_not_taken() -> None:
+    """Modes of a body that is nearly right, under noise: they would say more of the noise than of the body."""
+    modes = 0.4 * np.array([0.06, -0.05, -0.06, 0.05, -0.06])
+    p, classes, tracks, _ = site(VehicleClass.CAR, modes, noise_px=1.5)
+    found = learned(p, classes, tracks)
+    np.testing.assert_array_equal(found.bodies, TEMPLATES)
+    assert found.statistics() == {}
+
+
 def test_vehicles_larger_than_usual_are_no_other_shape() -> None:
     """What a site's vehicles have in common is their size as well: a mode must not stand in for it."""
     p, classes, tracks, _ = site(VehicleClass.CAR, np.zeros(len(MODES)), noise_px=0.5)
