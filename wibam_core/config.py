@@ -58,7 +58,9 @@ class AssociateConfig(StageConfig):
     range_m: float = Field(
         60.0, gt=0, description="ground points farther than this from the cameras' centre are left out"
     )
-    max_speed_mps: float = Field(30.0, gt=0, description="fastest vehicle that is linked over time")
+    max_speed_mps: float = Field(
+        30.0, gt=0, description="what is seen again farther away than this speed allows is another vehicle"
+    )
 
 
 class DatasetConfig(StageConfig):

@@ -181,6 +181,7 @@ def _cluster(rays: _Rays, radius_m: float) -> _Clusters:
 
 
 def _clusters(rays: _Rays, labels: IntArray) -> _Clusters:
+    """Where the clusters of rays with these labels (N,) are."""
     count = int(labels.max(initial=-1)) + 1
     information = np.linalg.inv(rays.covariances)
     total, pull = np.zeros((count, 2, 2)), np.zeros((count, 2))

@@ -24,7 +24,7 @@ _END_S = 1.5
 _USUAL_SPEED_MPS = 10.0
 #: A vehicle slower than this stands.
 _STANDING_MPS = 1.0
-#: How long a moving and a standing vehicle may be hidden.
+#: How long a moving and a standing vehicle may be hidden; what that costs mostly ends it sooner.
 _LONGEST_MOVING_S, _LONGEST_STANDING_S = 3.0, 45.0
 #: S.d. of a moving vehicle's acceleration meanwhile, about the mean of both ends' speeds and between them; of those
 #: speeds; and of a standing vehicle's place.
