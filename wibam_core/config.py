@@ -44,6 +44,7 @@ class DetectConfig(StageConfig):
     detector: Literal["bundled", "custom"] = Field(
         "bundled", description="'custom': the site's own detector.onnx (YOLOX family, COCO classes)"
     )
+    rate_hz: float = Field(6.25, gt=0, description="instants per second that are searched for vehicles")
     min_score: float = Field(0.3, gt=0, lt=1)
     nms_iou: float = Field(0.6, gt=0, lt=1)
     refine: Literal["auto", "on", "off"] = Field(

@@ -169,6 +169,19 @@ class FrameStore:
     def __reduce__(self) -> tuple[type[FrameStore], tuple[Path]]:
         return FrameStore, (self.folder,)
 
+    def thinned(self, rate_hz: float) -> list[FrameSet]:
+        """Instants at most ``rate_hz`` a second: the first at or after each multiple of the period."""
+        period_ns = 1e9 / rate_hz
+        kept: list[FrameSet] = []
+        last = None
+        for instant in self.frame_sets:
+            # half a microsecond of tolerance: sampling periods are rounded to whole ns
+            slot = int((instant.time_ns + 500) // period_ns)
+            if slot != last:
+                kept.append(instant)
+                last = slot
+        return kept
+
     def has(self, camera_id: str, time_ns: int) -> bool:
         """Whether the camera has a frame for the instant."""
         return (camera_id, time_ns) in self._places

@@ -1,10 +1,10 @@
-"""Detect vehicles in every frame, in pixels of the recording."""
+"""Detect vehicles in frames a few times a second, in pixels of the recording."""
 
 from __future__ import annotations
 
 import os
 from collections import Counter
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 
 from wibam_core.config import DetectConfig
@@ -22,7 +22,7 @@ _CHUNK = 16
 
 
 def run(context: StageContext, config: DetectConfig) -> Summary:
-    """Write ``detections.parquet``: 2D boxes of every frame, no multi-view vehicles yet.
+    """Write ``detections.parquet``: 2D boxes at ``config.rate_hz``, no multi-view vehicles yet.
 
     Raises:
         InputError: the options name a detector of one's own and there is none.
@@ -32,7 +32,8 @@ def run(context: StageContext, config: DetectConfig) -> Summary:
     detector = _detector(context, config)
     store = FrameStore(context.upstream["frames"])
     refined = config.refine == "on" or (config.refine == "auto" and config.detector == "bundled")
-    instants = list(_detect_all(store, detector, part(context.progress, 0.0, 0.5 if refined else 1.0)))
+    frame_sets = store.thinned(config.rate_hz)
+    instants = list(_detect_all(store, frame_sets, detector, part(context.progress, 0.0, 0.5 if refined else 1.0)))
     frames = sum(len(instant.detections) for instant in instants)
     if not any(len(seen) for instant in instants for seen in instant.detections.values()):
         raise NoVehicles(f"no vehicle was detected in {frames} frames of {len(store.camera_ids)} cameras")
@@ -65,8 +66,10 @@ def _detector(context: StageContext, config: DetectConfig) -> Detector:
     return load_detector(path, min_score=config.min_score, nms_iou=config.nms_iou)
 
 
-def _detect_all(store: FrameStore, detector: Detector, progress: Progress) -> Iterator[AnnotatedInstant]:
-    """All instants in order; several images side by side, each on one thread."""
+def _detect_all(
+    store: FrameStore, frame_sets: Sequence[FrameSet], detector: Detector, progress: Progress
+) -> Iterator[AnnotatedInstant]:
+    """The instants in order; several images side by side, each on one thread."""
 
     def detect(frame_set: FrameSet) -> AnnotatedInstant:
         return AnnotatedInstant(
@@ -77,10 +80,10 @@ def _detect_all(store: FrameStore, detector: Detector, progress: Progress) -> It
             },
         )
 
-    total = len(store.frame_sets)
+    total = len(frame_sets)
     with ThreadPoolExecutor(max_workers=len(os.sched_getaffinity(0))) as pool:
         for start in range(0, total, _CHUNK):
-            yield from pool.map(detect, store.frame_sets[start : start + _CHUNK])
+            yield from pool.map(detect, frame_sets[start : start + _CHUNK])
             done = min(start + _CHUNK, total)
             progress(done / total, f"{done} of {total} instants")
 

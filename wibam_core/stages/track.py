@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 from collections import Counter
-from collections.abc import Sequence
 from itertools import groupby
 
 from wibam_core.config import TrackConfig
@@ -19,7 +18,6 @@ from wibam_core.models.inference import predict
 from wibam_core.models.onnx_network import OnnxNetwork
 from wibam_core.models.stored_frames import stored_frames
 from wibam_core.models.weights import load_monocular
-from wibam_core.scene import FrameSet
 from wibam_core.stages.base import StageContext, Summary
 from wibam_core.tracking.tracker import Tracker
 from wibam_core.training.device import choose_device_to_detect
@@ -33,7 +31,7 @@ def run(context: StageContext, config: TrackConfig) -> Summary:
     curves = json.loads((finetune / "curves.json").read_text(encoding="utf-8"))
     decode = read_decode(curves)
     factors = SdFactors(**curves.get("sd_factors", {}))
-    instants = thin(store.frame_sets, config.rate_hz)
+    instants = store.thinned(config.rate_hz)
     frame_times = {instant.time_ns: instant.frame_times_ns for instant in instants}
     total = sum(len(rig.keys() & instant.frame_times_ns.keys()) for instant in instants)
     tracker = Tracker(config)
@@ -54,17 +52,3 @@ def run(context: StageContext, config: TrackConfig) -> Summary:
     write_tracks(context.output / "tracks.parquet", tracks)
     classes = Counter(track.vehicle_class.value for track in tracks)
     return {"tracks": len(tracks), "instants": len(instants), "by_class": dict(sorted(classes.items()))}
-
-
-def thin(instants: Sequence[FrameSet], rate_hz: float) -> list[FrameSet]:
-    """Instants (ascending) at most ``rate_hz`` a second: the first at or after each multiple of the period."""
-    period_ns = 1e9 / rate_hz
-    kept: list[FrameSet] = []
-    last = None
-    for instant in instants:
-        # half a microsecond of tolerance: sampling periods are rounded to whole ns
-        slot = int((instant.time_ns + 500) // period_ns)
-        if slot != last:
-            kept.append(instant)
-            last = slot
-    return kept

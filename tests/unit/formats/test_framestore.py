@@ -49,6 +49,15 @@ def test_frames_come_back_by_instant(tmp_path: Path) -> None:
         store.image("b", 2 * PERIOD_NS)
 
 
+@pytest.mark.parametrize(
+    ("rate_hz", "kept"),
+    [(12.5, [0, 1, 2, 3, 4]), (100.0, [0, 1, 2, 3, 4]), (6.25, [0, 2, 4]), (5.0, [0, 3]), (1.0, [0])],
+)
+def test_instants_are_thinned_to_the_rate(tmp_path: Path, rate_hz: float, kept: list[int]) -> None:
+    store = build(tmp_path / "frames")
+    assert [instant.time_ns for instant in store.thinned(rate_hz)] == [i * PERIOD_NS for i in kept]
+
+
 def test_convention_images_are_bgr(tmp_path: Path) -> None:
     corner = build(tmp_path / "frames").image("a", 0)[2:8, 2:8].mean((0, 1))
     assert corner[0] > 200

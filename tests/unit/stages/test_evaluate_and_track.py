@@ -30,7 +30,6 @@ from wibam_core.progress import silent
 from wibam_core.scene import (
     AnnotatedInstant,
     Detections2D,
-    FrameSet,
     LabelledInstant,
     MultiViewVehicle,
     VehicleClass,
@@ -251,10 +250,3 @@ def test_tracks_are_at_the_instants_although_frames_are_not(context: StageContex
     want = np.array([truth(t)[0, 0] for t in INSTANTS[::2]])
     np.testing.assert_allclose(driving.boxes[3:, 0], want[3:], atol=0.15)
     assert driving.velocities_mps[-1] == pytest.approx([12, 0], abs=0.3)
-
-
-@pytest.mark.parametrize(("rate", "kept"), [(12.5, 26), (6.25, 13), (5.0, 11), (100.0, 26), (1.0, 3)])
-def test_instants_are_thinned_to_the_rate(rate: float, kept: int) -> None:
-    thinned = track.thin([FrameSet(t, {}) for t in INSTANTS], rate)
-    assert len(thinned) == kept
-    assert thinned[0].time_ns == 0

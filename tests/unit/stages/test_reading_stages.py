@@ -314,6 +314,15 @@ def test_convention_detections_are_in_pixels_of_the_recording(tmp_path: Path, mo
     json.dumps(summary)
 
 
+def test_vehicles_are_looked_for_as_often_as_asked(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(detect, "load_detector", lambda path, **options: BrightSpots())
+    stored(tmp_path / "frames", spots=True)
+    summary = detect.run(Run(tmp_path, {"a": tmp_path}).context("detect"), DetectConfig(refine="off", rate_hz=0.25))
+    instants = read_annotations(tmp_path / "detect" / "detections.parquet")
+    assert [instant.time_ns for instant in instants] == [i * S for i in range(0, 40, 4)]
+    assert summary["frames"] == 10
+
+
 def test_no_vehicle_at_all_is_an_error(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(detect, "load_detector", lambda path, **options: BrightSpots())
     stored(tmp_path / "frames", spots=False)
