@@ -13,7 +13,7 @@ Each network is measured on all frames of the held-out part of its site, as a jo
 (rows, each as soon as it is made: a killed run goes on where it was), ``learning.md`` and figures. Rows that other code
 made are made again, but with ``--keep``; ``--draw`` joins the rows of files and runs nothing.
 
-Run: python -m benchmarks.learning --sites 501 502 --seeds 0 --seconds 240 --steps 600 --out docs
+Run: python -m benchmarks.learning --sites 501 502 --seeds 0 --seconds 240 --steps 1200 --out docs
 Short, about five minutes on two idle cores: python -m benchmarks.learning --short
 Full, with a CenterTrack network of yours, on a GPU where there is one:
 python -m benchmarks.learning --network network.safetensors --seconds 600 --steps 6000 --seeds 0 1 2

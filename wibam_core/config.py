@@ -120,7 +120,7 @@ class FinetuneConfig(StageConfig):
         description="'small': how wide the network sees the images; unless given, 640; a step takes as much longer as"
         " an image has more pixels",
     )
-    steps: int = Field(600, ge=1)
+    steps: int = Field(1200, ge=1)
     batch_size: int = Field(8, ge=1)
     learning_rate: float | None = Field(
         None,
