@@ -58,6 +58,16 @@ def test_instants_are_thinned_to_the_rate(tmp_path: Path, rate_hz: float, kept: 
     assert [instant.time_ns for instant in store.thinned(rate_hz)] == [i * PERIOD_NS for i in kept]
 
 
+def test_instants_whose_period_was_rounded_down_are_not_taken_for_earlier_ones(tmp_path: Path) -> None:
+    period_ns = 33_333_333  # 30 a second: every third falls a nanosecond short of a tenth
+    with FrameStoreWriter(tmp_path / "frames", 95) as writer:
+        for i in range(8):
+            writer.add("a", i * period_ns, i * period_ns, picture(0))
+        writer.close()
+    kept = FrameStore(tmp_path / "frames").thinned(10.0)
+    assert [instant.time_ns // period_ns for instant in kept] == [0, 3, 6]
+
+
 def test_convention_images_are_bgr(tmp_path: Path) -> None:
     corner = build(tmp_path / "frames").image("a", 0)[2:8, 2:8].mean((0, 1))
     assert corner[0] > 200

@@ -15,6 +15,7 @@ from wibam_core.models.inference import prepare_camera
 from wibam_core.models.small import MEAN_SIZES_M, SmallOutputs
 from wibam_core.training.augment import mirror, mirror_camera
 from wibam_core.training.dataset import ImageCache, SiteView, site_views
+from wibam_core.training.losses import LossWeights, lifted_loss
 from wibam_core.training.multiview import OtherViews, multiview_loss
 from wibam_core.training.objectives import (
     DEFAULT_MULTIVIEW_WEIGHT,
@@ -138,6 +139,17 @@ def test_equals_a_loop_over_the_vehicles_of_a_batch(
 
 
 # --- which heads learn --------------------------------------------------------------------------
+def test_headings_and_sizes_weigh_more_than_the_other_heads(
+    site: TinySite, views: list[SiteView], labelled: list[LabelledView]
+) -> None:
+    targets = encode(labelled[:2])
+    outputs = random_outputs(targets)
+    ours = LiftedObjective("plane")(outputs, targets, SIZES, OtherCameras(site.rig).of(views[:2], [False, False]))
+    alike = lifted_loss(outputs, targets, SIZES, LossWeights(), "plane")
+    weighs = {name: (ours[name] / alike[name]).item() for name in ("centre3d", "depth", "footprint", "size", "yaw")}
+    assert weighs == pytest.approx({"centre3d": 1, "depth": 1, "footprint": 1, "size": 3, "yaw": 4})
+
+
 @pytest.mark.parametrize(
     ("options", "heads"),
     [
