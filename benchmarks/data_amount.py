@@ -5,7 +5,7 @@ fits are those of a job on the whole recording, whose body templates, sizes and 
 the footage alone would give worse fits, so that small shares are flattered. Writes ``data-amount.json`` (a killed run
 goes on where it was), ``data-amount.md`` and ``data-amount.png``.
 
-Run: python -m benchmarks.data_amount --sites 11 12 --seeds 0 1 --seconds 300 --steps 350 --out docs
+Run: python -m benchmarks.data_amount --sites 11 12 --seeds 0 1 --seconds 300 --out docs
 """
 
 from __future__ import annotations
@@ -19,7 +19,16 @@ from matplotlib.figure import Figure
 from benchmarks.learning_options import command_of, made_rows, recording_of, site_parser
 from benchmarks.learning_report import caveats, save, share_of_gain
 from benchmarks.learning_rows import Row, Run, mean_of
-from benchmarks.learning_sites import CHOSEN_ON, Figures, Site, figures, finetuned_on, untrained, views
+from benchmarks.learning_sites import (
+    CHOSEN_ON,
+    Figures,
+    Site,
+    figures,
+    finetuned_by_stage,
+    finetuned_on,
+    untrained,
+    views,
+)
 from wibam_core.config import FinetuneConfig
 from wibam_core.report.style import BASELINE, FINETUNED, new_figure, tidy
 
@@ -60,7 +69,13 @@ def row(site: Site, run: Run) -> Figures:
     last_ns = times[max(1, round(share * len(times))) - 1]
     first_part = [view for view in train if view.time_ns <= last_ns]
     taught = {track for lifts in site.lifts if times[0] <= lifts.time_ns <= last_ns for track in lifts.ids.tolist()}
-    trained = finetuned_on(site, first_part, validation, FinetuneConfig(**run["finetune"]))
+    options = run["finetune"]
+    # all of it: as a job does, whose network may be there already
+    trained = (
+        finetuned_by_stage(site, options)
+        if share == 1
+        else finetuned_on(site, first_part, validation, FinetuneConfig(**options))
+    )
     vehicles = len(taught - site.split.left_out_tracks["train"])
     return {**about, "vehicles": vehicles, **figures(site, trained)}
 
@@ -187,7 +202,7 @@ def main() -> None:
     parser = site_parser(__doc__, sites=[11, 12], seconds=300.0)
     parser.add_argument("--seeds", type=int, nargs="+", default=[0])
     parser.add_argument("--shares", type=float, nargs="+", default=list(SHARES))
-    parser.add_argument("--steps", type=int, default=350)
+    parser.add_argument("--steps", type=int, default=FinetuneConfig().steps)
     arguments = parser.parse_args()
     rows: list[Row] = []
     for made in made_rows(arguments, "data-amount", runs_of(arguments), row):

@@ -13,7 +13,7 @@ Each network is measured on all frames of the held-out part of its site, as a jo
 (rows, each as soon as it is made: a killed run goes on where it was), ``learning.md`` and figures. Rows that other code
 made are made again, but with ``--keep``; ``--draw`` joins the rows of files and runs nothing.
 
-Run: python -m benchmarks.learning --sites 501 502 --seeds 0 --seconds 240 --steps 1200 --out docs
+Run: python -m benchmarks.learning --sites 501 502 --seeds 0 --seconds 240 --out docs
 Short, about five minutes on two idle cores: python -m benchmarks.learning --short
 Full, with a CenterTrack network of yours, on a GPU where there is one:
 python -m benchmarks.learning --network network.safetensors --seconds 600 --steps 6000 --seeds 0 1 2
@@ -152,7 +152,7 @@ def _number(method: str) -> int:
 def parse() -> argparse.Namespace:
     parser = site_parser(__doc__, sites=[501, 502, 503], seconds=90.0)
     parser.add_argument("--seeds", type=int, nargs="+", default=[0])
-    parser.add_argument("--steps", type=int, default=350)
+    parser.add_argument("--steps", type=int, default=FinetuneConfig().steps)
     parser.add_argument("--methods", nargs="+", choices=METHODS, default=list(DEFAULT_METHODS))
     parser.add_argument(
         "--network", type=Path, metavar="FILE", help="fine-tune this DLA-34, as `wibam weights convert` writes it"
