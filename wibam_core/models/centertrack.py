@@ -9,7 +9,7 @@ From maps to boxes it is differentiable, and the same code in losses and at infe
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from types import MappingProxyType
 
@@ -270,14 +270,31 @@ def predict_vehicles(
         decode: how boxes are placed along the ray, see `boxes3d`.
         long_side_px: of the input.
     """
+    placed = predict_vehicles_each(network, frames, min_score=min_score, decodes=(decode,), long_side_px=long_side_px)
+    return (vehicles for (vehicles,) in placed)
+
+
+def predict_vehicles_each(
+    network: DLA34,
+    frames: Iterable[Frame],
+    *,
+    min_score: float,
+    decodes: Sequence[Decode],
+    long_side_px: int = LONG_SIDE_PX,
+) -> Iterator[tuple[Vehicles3D, ...]]:
+    """As `predict_vehicles`, but boxes are placed in several ways, for which the network runs once."""
     device = next(network.parameters()).device
     for frame in frames:
         height_px, width_px = frame.image.shape[:2]
         warp = InputWarp.of(width_px, height_px, long_side_px)
+        camera = frame.camera.resized(width_px, height_px)
         network.eval()
         with torch.inference_mode():
             heads = {name: values.cpu() for name, values in network(warp.to_input(frame.image).to(device)).items()}
-            found = decode_vehicles(heads, warp, frame.camera.resized(width_px, height_px), min_score, decode)
-        yield Vehicles3D.of(
-            frame.time_ns, found.boxes, classes=found.classes, scores=found.scores, camera_id=frame.camera_id
+            ways = [decode_vehicles(heads, warp, camera, min_score, decode) for decode in decodes]
+        yield tuple(
+            Vehicles3D.of(
+                frame.time_ns, found.boxes, classes=found.classes, scores=found.scores, camera_id=frame.camera_id
+            )
+            for found in ways
         )

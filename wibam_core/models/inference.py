@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 
@@ -16,6 +16,7 @@ from wibam_core.geometry.camera import Camera
 from wibam_core.geometry.torch_ops import CameraTensors
 from wibam_core.models.decode import (
     Decode,
+    Peaks,
     PeakValues,
     boxes2d_px,
     boxes3d,
@@ -108,18 +109,31 @@ def predict(
         min_score: peaks below it are left out.
         batch_size: images per pass; images of one batch have equal prepared sizes.
     """
-    look = SecondLook() if decode == "refined" else None
+    placed = predict_each(network, frames, decodes=(decode,), min_score=min_score, batch_size=batch_size)
+    return (vehicles for (vehicles,) in placed)
+
+
+def predict_each(
+    network: RunnableNetwork,
+    frames: Iterable[Frame],
+    *,
+    decodes: Sequence[Decode],
+    min_score: float,
+    batch_size: int = 8,
+) -> Iterator[tuple[Vehicles3D, ...]]:
+    """As `predict`, but boxes are placed in several ways while the network runs once: per frame a result of each."""
+    look = SecondLook() if "refined" in decodes else None
     batch: list[Frame] = []
     images: list[NDArray[np.uint8]] = []
     for frame in frames:
         image = prepare_image(frame.image, network.input_width_px)
         if batch and (len(batch) == batch_size or image.shape != images[0].shape):
-            yield from _predict_batch(network, batch, images, decode, look, min_score)
+            yield from _predict_batch(network, batch, images, decodes, look, min_score)
             batch, images = [], []
         batch.append(frame)
         images.append(image)
     if batch:
-        yield from _predict_batch(network, batch, images, decode, look, min_score)
+        yield from _predict_batch(network, batch, images, decodes, look, min_score)
 
 
 def _run(network: RunnableNetwork, images: NDArray[np.uint8]) -> SmallOutputs:
@@ -135,36 +149,55 @@ def _predict_batch(
     network: RunnableNetwork,
     frames: list[Frame],
     images: list[NDArray[np.uint8]],
-    decode: Decode,
+    decodes: Sequence[Decode],
     look: SecondLook | None,
     min_score: float,
-) -> Iterator[Vehicles3D]:
-    prepared = [prepare_camera(frame.camera, network.input_width_px) for frame in frames]
-    cameras = CameraTensors.from_cameras(prepared, torch.float64)
+) -> Iterator[tuple[Vehicles3D, ...]]:
     with torch.inference_mode():
         outputs = _run(network, np.stack(images))
         peaks = find_peaks(outputs.heat, min_score)
-        fits = decode in ("fitted", "refined")
-        read = gather_around if fits else gather
-        values = read(outputs, peaks.image, peaks.cells, peaks.classes)
-        boxes = boxes3d(values, cameras, network.mean_sizes_m.cpu(), decode)
-        kept = kept_peaks(peaks.image, boxes, boxes2d_px(values))
-        values, boxes = values[kept], boxes[kept]
-        sd = standard_deviations(values, boxes, cameras, decode)
-        if fits:
-            edges = None if look is None else _edges(look, frames, cameras, values)
-            boxes, sd = reconciled(values, boxes, sd, cameras, edges)
+        sizes_m = network.mean_sizes_m.cpu()
+        prepared = [prepare_camera(frame.camera, network.input_width_px) for frame in frames]
+        cameras = CameraTensors.from_cameras(prepared, torch.float64)
+        ways = [_placed(outputs, peaks, frames, cameras, sizes_m, decode, look) for decode in decodes]
+    yield from zip(*ways, strict=True)
+
+
+def _placed(
+    outputs: SmallOutputs,
+    peaks: Peaks,
+    frames: list[Frame],
+    cameras: CameraTensors,
+    mean_sizes_m: Tensor,
+    decode: Decode,
+    look: SecondLook | None,
+) -> list[Vehicles3D]:
+    """The vehicles of each frame of a batch."""
+    fits = decode in ("fitted", "refined")
+    read = gather_around if fits else gather
+    values = read(outputs, peaks.image, peaks.cells, peaks.classes)
+    boxes = boxes3d(values, cameras, mean_sizes_m, decode)
+    kept = kept_peaks(peaks.image, boxes, boxes2d_px(values))
+    values, boxes = values[kept], boxes[kept]
+    sd = standard_deviations(values, boxes, cameras, decode)
+    if fits:
+        edges = _edges(look, frames, cameras, values) if look is not None and decode == "refined" else None
+        boxes, sd = reconciled(values, boxes, sd, cameras, edges)
     scores = peaks.scores[kept].double().numpy()
+    found = []
     for index, frame in enumerate(frames):
         mine = np.flatnonzero(values.image.numpy() == index)
-        yield Vehicles3D.of(
-            frame.time_ns,
-            boxes.numpy()[mine],
-            classes=values.classes.numpy()[mine],
-            scores=scores[mine],
-            sd=sd.numpy()[mine],
-            camera_id=frame.camera_id,
+        found.append(
+            Vehicles3D.of(
+                frame.time_ns,
+                boxes.numpy()[mine],
+                classes=values.classes.numpy()[mine],
+                scores=scores[mine],
+                sd=sd.numpy()[mine],
+                camera_id=frame.camera_id,
+            )
         )
+    return found
 
 
 def _edges(look: SecondLook, frames: list[Frame], cameras: CameraTensors, values: PeakValues) -> Edges:

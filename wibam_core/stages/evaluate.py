@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -23,10 +23,10 @@ from wibam_core.formats.framestore import FrameStore
 from wibam_core.formats.labels import read_labels
 from wibam_core.formats.rig import read_rig
 from wibam_core.formats.vehicles3d import write_vehicles3d
-from wibam_core.models.centertrack import predict_vehicles
+from wibam_core.models.centertrack import predict_vehicles_each
 from wibam_core.models.decode import Decode, read_decode
 from wibam_core.models.dla34 import DLA34
-from wibam_core.models.inference import predict
+from wibam_core.models.inference import predict_each
 from wibam_core.models.onnx_network import OnnxNetwork
 from wibam_core.models.stored_frames import stored_frames
 from wibam_core.models.weights import bundled, load_monocular
@@ -50,18 +50,17 @@ _KEPT_SCORE = 0.1
 
 
 @dataclass(frozen=True)
-class _Method:
-    """A detector under test.
+class _Detector:
+    """A network under test.
 
     Attributes:
-        decode: how its boxes are placed.
+        decodes: name of a method -> how its boxes are placed.
         factors: what its standard deviations are multiplied with.
         input_width_px: how wide it sees images; None: as the weights say.
     """
 
-    name: str
     weights: Path
-    decode: Decode
+    decodes: Mapping[str, Decode]
     factors: SdFactors
     input_width_px: int | None = None
 
@@ -81,23 +80,21 @@ def run(context: StageContext, config: EvaluateConfig) -> Summary:
     labels = LabelTimeline(read_labels(context.assets["labels"])) if "labels" in context.assets else None
     instants = _test_instants(context, store, labels)
     finetune = context.upstream["finetune"]
-    as_learned = SdFactors()
     curves = json.loads((finetune / "curves.json").read_text(encoding="utf-8"))
     trained_on = curves.get("device", "auto")
     custom = curves.get("network") == "custom"
     start = context.assets["network"] if custom else bundled("mono_small.safetensors")
-    width_px = curves.get("input_width_px")  # the same images for all
     decode = trained_decode(finetune)
-    methods = (
-        _Method("baseline", start, decode, as_learned, width_px),
-        *(_Method(f"baseline_{other}", start, other, as_learned, width_px) for other in _PUBLISHED if other != decode),
-        _Method("finetuned", finetune / "weights.safetensors", decode, trained_factors(finetune)),
+    alike = {"baseline": decode, **{f"baseline_{other}": other for other in _PUBLISHED if other != decode}}
+    detectors = (
+        _Detector(start, alike, SdFactors(), curves.get("input_width_px")),  # the same images for all
+        _Detector(finetune / "weights.safetensors", {"finetuned": decode}, trained_factors(finetune)),
     )
     predictions: dict[str, list[Vehicles3D]] = {}
-    for number, method in enumerate(methods):
-        progress = part(context.progress, number / len(methods), (number + 1) / len(methods))
+    for number, detector in enumerate(detectors):
+        progress = part(context.progress, number / len(detectors), (number + 1) / len(detectors))
         min_score = min(_KEPT_SCORE, config.min_score)
-        predictions[method.name] = _detect(method, store, instants, rig, min_score, trained_on, progress)
+        predictions |= _detect(detector, store, instants, rig, min_score, trained_on, progress)
     for name in ("baseline", "finetuned"):
         write_vehicles3d(context.output / f"predictions_{name}.parquet", predictions[name])
     metrics = _metrics(context, config, rig, instants, predictions, labels)
@@ -131,27 +128,30 @@ def _test_instants(context: StageContext, store: FrameStore, labels: LabelTimeli
 
 
 def _detect(
-    method: _Method,
+    detector: _Detector,
     store: FrameStore,
     instants: Sequence[FrameSet],
     rig: CameraRig,
     min_score: float,
     trained_on: DeviceOption,
     progress: Progress,
-) -> list[Vehicles3D]:
-    network = load_monocular(method.weights)
+) -> dict[str, list[Vehicles3D]]:
+    """Name of a method -> its detections, one `Vehicles3D` per frame."""
+    network = load_monocular(detector.weights)
     frames = stored_frames(store, instants, rig)
     total = sum(len(rig.keys() & instant.frame_times_ns.keys()) for instant in instants)
-    found = []
+    decodes = tuple(detector.decodes.values())
     if isinstance(network, DLA34):
         network.to(choose_device_to_detect(trained_on))
-        detected = predict_vehicles(network, frames, decode=method.decode, min_score=min_score)
+        detected = predict_vehicles_each(network, frames, decodes=decodes, min_score=min_score)
     else:
-        network.input_width_px = method.input_width_px or network.input_width_px
-        detected = predict(OnnxNetwork.of(network), frames, decode=method.decode, min_score=min_score)
-    for vehicles in detected:
-        found.append(method.factors.apply(vehicles))
-        progress(len(found) / total, f"Detecting: {method.name.replace('_', ', ')}")
+        network.input_width_px = detector.input_width_px or network.input_width_px
+        detected = predict_each(OnnxNetwork.of(network), frames, decodes=decodes, min_score=min_score)
+    found: dict[str, list[Vehicles3D]] = {name: [] for name in detector.decodes}
+    for number, ways in enumerate(detected, 1):
+        for of_method, vehicles in zip(found.values(), ways, strict=True):
+            of_method.append(detector.factors.apply(vehicles))
+        progress(number / total, f"Detecting: {next(iter(found))}")
     return found
 
 

@@ -20,6 +20,7 @@ from wibam_core.models.centertrack import (
     InputWarp,
     decode_vehicles,
     predict_vehicles,
+    predict_vehicles_each,
 )
 from wibam_core.models.dla34 import DLA34, HEADS
 from wibam_core.models.inference import Frame
@@ -272,3 +273,6 @@ def test_frames_of_any_size_give_one_answer_each() -> None:
     other = frames[0].camera.resized(320, 180)  # the camera's size does not matter
     again = next(predict_vehicles(network, [Frame(frames[0].image, other, "cam0", 0)], min_score=0.3, long_side_px=128))
     np.testing.assert_allclose(again.boxes, found[0].boxes)
+    ways = next(predict_vehicles_each(network, frames, min_score=0.3, decodes=("plane", "depth"), long_side_px=128))
+    np.testing.assert_array_equal(ways[1].boxes, found[0].boxes)
+    assert not np.allclose(ways[0].boxes[0, :2], ways[1].boxes[0, :2])

@@ -16,6 +16,7 @@ from wibam_core.models.inference import (
     content_height_px,
     kept_peaks,
     predict,
+    predict_each,
     prepare_camera,
     prepare_image,
     to_input,
@@ -107,6 +108,26 @@ def test_refined_boxes_agree_with_a_second_look_at_the_images_own_pixels() -> No
         assert len(answer) > 4
         np.testing.assert_allclose(answer.boxes, boxes.numpy(), atol=1e-3)
         np.testing.assert_allclose(answer.sd, sd.numpy(), rtol=1e-3)
+
+
+def test_several_ways_to_place_boxes_take_one_run_of_the_network() -> None:
+    network = load_network(bundled("mono_small.safetensors"))
+    views = list(sample_views(990_000, "site", 3, (640, 384)))
+    frames = [Frame(view.image, view.camera, "cam", number) for number, view in enumerate(views)]
+    decodes: tuple[Decode, ...] = ("refined", "plane", "depth", "fitted")
+    runs: list[int] = []
+    hook = network.register_forward_hook(lambda _network, images, _outputs: runs.append(len(images[0])))
+    each = list(predict_each(network, frames, decodes=decodes, min_score=0.2, batch_size=2))
+    hook.remove()
+    assert runs == [2, 1]
+    assert len(each) == 3
+    for decode, found in zip(decodes, zip(*each, strict=True), strict=True):
+        alone = list(predict(network, frames, decode=decode, min_score=0.2, batch_size=2))
+        assert sum(map(len, alone)) > 6
+        for ours, wanted in zip(found, alone, strict=True):
+            assert ours.time_ns == wanted.time_ns
+            for name in ("boxes", "sd", "scores", "classes"):
+                np.testing.assert_array_equal(getattr(ours, name), getattr(wanted, name))
 
 
 def test_a_second_look_places_vehicles_better() -> None:

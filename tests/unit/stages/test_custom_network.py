@@ -77,24 +77,30 @@ def test_it_is_fine_tuned_compared_and_tracked_with(context: StageContext, monke
     assert usage_of(tuned).decode == "plane"
     assert json.loads((context.output / "curves.json").read_text())["network"] == "custom"
 
-    used: list[tuple[float, str]] = []
+    used: list[tuple[float, tuple[str, ...]]] = []
+
+    def nothing_each(
+        network: DLA34, frames: Iterable[Frame], *, min_score: float, decodes: tuple[str, ...]
+    ) -> Iterator[tuple[Vehicles3D, ...]]:
+        used.append((float(network.hm[2].bias[0].detach()), decodes))
+        for frame in frames:
+            nothing = Vehicles3D.of(frame.time_ns, torch.zeros(0, 7).numpy(), camera_id=frame.camera_id)
+            yield (nothing,) * len(decodes)
 
     def nothing(network: DLA34, frames: Iterable[Frame], *, min_score: float, decode: str) -> Iterator[Vehicles3D]:
-        used.append((float(network.hm[2].bias[0].detach()), decode))
-        for frame in frames:
-            yield Vehicles3D.of(frame.time_ns, torch.zeros(0, 7).numpy(), camera_id=frame.camera_id)
+        return (found for (found,) in nothing_each(network, frames, min_score=min_score, decodes=(decode,)))
 
     trained_elsewhere = json.loads((context.output / "curves.json").read_text()) | {"device": "cuda"}
     (context.output / "curves.json").write_text(json.dumps(trained_elsewhere))
     monkeypatch.setattr(torch.cuda, "is_available", lambda: False)
-    for module in (evaluate, track):
-        monkeypatch.setattr(module, "predict_vehicles", nothing)
+    monkeypatch.setattr(evaluate, "predict_vehicles_each", nothing_each)
+    monkeypatch.setattr(track, "predict_vehicles", nothing)
     later = replace(context, upstream={**context.upstream, "finetune": context.output}, output=context.scratch)
     evaluate.run(later, EvaluateConfig())
     start, end = (float(one.hm[2].bias[0].detach()) for one in (before, after))
-    assert used == [(start, "plane"), (start, "depth"), (end, "plane")]
+    assert used == [(start, ("plane", "depth")), (end, ("plane",))]
     track.run(later, TrackConfig())
-    assert used[3:] == [(end, "plane")]
+    assert used[2:] == [(end, ("plane",))]
 
 
 def test_what_cannot_be_used_is_refused_before_anything_is_read(context: StageContext, tmp_path: Path) -> None:

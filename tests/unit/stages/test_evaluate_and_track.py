@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -61,6 +61,18 @@ def oracle(network: Any, frames: Iterable[Frame], *, decode: str, min_score: flo
         yield Vehicles3D.of(frame.time_ns, boxes, scores=np.full(2, 0.9), camera_id=frame.camera_id)
 
 
+def each(predict: Callable[..., Iterator[Vehicles3D]]) -> Callable[..., Iterator[tuple[Vehicles3D, ...]]]:
+    """Several ways to place boxes from one: `predict_each` of a `predict`."""
+
+    def placed(
+        network: Any, frames: Iterable[Frame], *, decodes: Sequence[str], **options: Any
+    ) -> Iterator[tuple[Vehicles3D, ...]]:
+        seen = list(frames)
+        return zip(*(predict(network, seen, decode=decode, **options) for decode in decodes), strict=True)
+
+    return placed
+
+
 @pytest.fixture
 def context(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> StageContext:
     folders = {name: tmp_path / name for name in ("calibrate", "frames", "associate", "dataset", "finetune", "out")}
@@ -92,7 +104,7 @@ def context(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> StageContext:
             for time in [*INSTANTS, INSTANTS[-1] + PERIOD_NS]
         ],
     )
-    monkeypatch.setattr(evaluate, "predict", oracle)
+    monkeypatch.setattr(evaluate, "predict_each", each(oracle))
     monkeypatch.setattr(track, "predict", oracle)
     upstream = {name: folder for name, folder in folders.items() if name != "out"}
     return StageContext(site_of(RIG), {}, {"labels": labels}, upstream, folders["out"], tmp_path, silent)
@@ -137,17 +149,17 @@ def test_the_baseline_sees_images_as_wide_as_the_fine_tuned_network(
 ) -> None:
     seen = []
 
-    def watched(network: Any, frames: Iterable[Frame], **options: Any) -> Iterator[Vehicles3D]:
+    def watched(network: Any, frames: Iterable[Frame], **options: Any) -> Iterator[tuple[Vehicles3D, ...]]:
         seen.append(network.input_width_px)
-        return oracle(network, frames, **options)
+        return each(oracle)(network, frames, **options)
 
-    monkeypatch.setattr(evaluate, "predict", watched)
+    monkeypatch.setattr(evaluate, "predict_each", watched)
     network = SmallNetwork()
     network.input_width_px = 960
     save_network(network, context.upstream["finetune"] / "weights.safetensors")
     (context.upstream["finetune"] / "curves.json").write_text(json.dumps({"decode": "plane", "input_width_px": 960}))
     evaluate.run(context, EvaluateConfig())
-    assert seen == [960] * 3
+    assert seen == [960] * 2
 
 
 def test_standard_deviations_are_multiplied_as_the_validation_part_says(
@@ -160,7 +172,7 @@ def test_standard_deviations_are_multiplied_as_the_validation_part_says(
             boxes = found.boxes + [0.5 * (-1) ** number, 0.5, 0, 0, 0, 0, 0]
             yield replace(found, boxes=boxes, sd=np.full_like(boxes, 0.1))
 
-    monkeypatch.setattr(evaluate, "predict", unsure)
+    monkeypatch.setattr(evaluate, "predict_each", each(unsure))
     monkeypatch.setattr(track, "predict", unsure)
     curves = {"decode": "plane", "sd_factors": {"position": 3.0, "yaw": 2.0}}
     (context.upstream["finetune"] / "curves.json").write_text(json.dumps(curves))
