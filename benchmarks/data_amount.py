@@ -108,17 +108,14 @@ def gain_after(rows: Sequence[Row], minutes: float) -> float | None:
 
 
 def minutes_for(rows: Sequence[Row], gain: float) -> float | None:
-    """Mean minutes after which that share of the full gain is reached first, between the amounts tried."""
+    """Mean over the places of the least amount tried, in minutes, that gave that share of the full gain."""
     found = []
     for mine in _by_place(rows):
-        if 0.0 not in mine or 1.0 not in mine:
+        start, full = mine.get(0.0), mine.get(1.0)
+        if start is None or full is None:
             continue
-        tried = sorted(mine.values(), key=lambda one: one["minutes"])
-        grid = np.linspace(0, tried[-1]["minutes"], 500)
-        shares = [share_of_gain(one, mine[0.0], mine[1.0], JUDGED) or 0.0 for one in tried]
-        reached = np.interp(grid, [one["minutes"] for one in tried], shares) >= gain
-        if reached.any():
-            found.append(float(grid[int(np.argmax(reached))]))
+        gained = {one["minutes"]: share_of_gain(one, start, full, JUDGED) or 0.0 for one in mine.values()}
+        found += sorted(minutes for minutes, share in gained.items() if share >= gain)[:1]
     return float(np.mean(found)) if found else None
 
 
@@ -130,7 +127,7 @@ def advice(rows: Sequence[Row]) -> str:
         sentences.append(f"One minute of footage to learn from gave {100 * one_minute:.0f} % of the full gain.")
     enough = minutes_for(rows, 0.9)
     if enough is not None:
-        sentences.append(f"Nine tenths of it were reached after {enough:.1f} min.")
+        sentences.append(f"The least amount tried that gave nine tenths of it was {enough:.1f} min.")
     full = [row for row in rows if row["run"]["share"] == 1.0]
     minutes, vehicles = (np.mean([row[name] for row in full]) for name in ("minutes", "vehicles"))
     sentences.append(f"The full amount was {minutes:.1f} min with {vehicles:.0f} vehicles on average.")

@@ -274,10 +274,16 @@ def test_shares_of_the_full_gain_are_told_between_the_amounts_tried() -> None:
     assert data_amount.gain_after(amounts(), 1.0) == pytest.approx(0.5)
     assert data_amount.gain_after(amounts(), 1.5) == pytest.approx(0.7)
     assert data_amount.gain_after(amounts(), 9.0) is None
-    assert data_amount.minutes_for(amounts(), 0.9) == pytest.approx(2.0, abs=0.02)
     text = data_amount.advice(amounts())
     assert "One minute of footage to learn from gave 50 % of the full gain." in text
     assert "4.0 min with 100 vehicles" in text
+
+
+def test_how_much_is_enough_is_told_of_amounts_that_were_tried_alone() -> None:
+    assert data_amount.minutes_for(amounts(), 0.89) == 2.0
+    assert data_amount.minutes_for(amounts(), 0.91) == 4.0
+    assert data_amount.minutes_for(amounts(), 1.1) is None
+    assert "The least amount tried that gave nine tenths of it was" in data_amount.advice(amounts())
 
 
 def test_the_data_amount_document_and_curve(tmp_path: Path) -> None:
