@@ -85,9 +85,9 @@ def run(context: StageContext, config: EvaluateConfig) -> Summary:
     custom = curves.get("network") == "custom"
     start = context.assets["network"] if custom else bundled("mono_small.safetensors")
     decode = trained_decode(finetune)
-    alike = {"baseline": decode, **{f"baseline_{other}": other for other in _PUBLISHED if other != decode}}
+    baselines = {"baseline": decode, **{f"baseline_{way}": way for way in _PUBLISHED if way != decode}}
     detectors = (
-        _Detector(start, alike, SdFactors(), curves.get("input_width_px")),  # the same images for all
+        _Detector(start, baselines, SdFactors(), curves.get("input_width_px")),  # the same images for all
         _Detector(finetune / "weights.safetensors", {"finetuned": decode}, trained_factors(finetune)),
     )
     predictions: dict[str, list[Vehicles3D]] = {}
