@@ -28,7 +28,7 @@ from wibam_core.stages.runner import SiteFolder
 from wibam_core.synthetic.options import SimulationOptions
 from wibam_core.synthetic.recorder import record_site
 
-#: Options that fit the whole thread into five minutes on two cores; the service's own defaults are for real footage.
+#: Options that fit the whole thread into minutes on two cores; the service's own defaults are for real footage.
 _QUICK: dict[str, dict[str, Any]] = {"finetune": {"steps": 350}, "track": {"rate_hz": 5.0}}
 
 
