@@ -8,13 +8,17 @@ Rows per site and seed:
   ``lifted``: fine-tuned on the fits to all views, the default.
 - ``truth``: the same training on the true boxes of the same vehicles: what better labels could give.
 - ``labels``: the fits themselves, in the training part.
+- ``lifted_track``, ``labels_track``: fits to whole tracks that do not learn the site's bodies, and a network of theirs.
 
 Each network is measured on all frames of the held-out part of its site, as a job measures it. Writes ``learning.json``
-(rows, each as soon as it is made: a killed run goes on where it was), ``learning.md`` and figures. Rows that other code
-made are made again, but with ``--keep``; ``--draw`` joins the rows of files and runs nothing.
+(rows, each as soon as it is made: a killed run goes on where it was), ``learning.md`` and figures, or so with another
+``--name``. Rows that other code made are made again, but with ``--keep``; ``--draw`` joins the rows of files and runs
+nothing.
 
 Run: python -m benchmarks.learning --sites 501 502 --seeds 0 --seconds 240 --out docs
 Short, about five minutes on two idle cores: python -m benchmarks.learning --short
+Other methods at one site, beside the document of the usual ones:
+python -m benchmarks.learning --sites 501 --seeds 0 --seconds 240 --methods baseline lifted lifted_track --name ablation
 Full, with a CenterTrack network of yours, on a GPU where there is one:
 python -m benchmarks.learning --network network.safetensors --seconds 600 --steps 6000 --seeds 0 1 2
 Join: python -m benchmarks.learning --draw build/a/learning.json build/b/learning.json --out docs
@@ -38,7 +42,9 @@ from benchmarks.learning_sites import (
     figures,
     finetuned_by_stage,
     finetuned_on,
+    fitted_by,
     label_figures,
+    placed,
     true_lifts,
     untrained,
     views,
@@ -59,11 +65,24 @@ TRAINED: Mapping[str, Mapping[str, Any]] = {
     "lifted": {"method": "lifted"},
     "lifted_depth": {"method": "lifted", "decode": "depth"},
     "lifted_plane": {"method": "lifted", "decode": "plane"},
+    "lifted_fused": {"method": "lifted", "decode": "fused"},
     "lifted_ground": {"method": "lifted", "decode": "ground"},
     "lifted_fitted": {"method": "lifted", "decode": "fitted"},
+    "lifted_track": {"method": "lifted"},
     "combined": {"method": "combined"},
 }
-METHODS = (*BASELINES, *TRAINED, "truth", "labels")
+#: Method -> options of the fits, where they are not the usual ones.
+LIFTED_BY: Mapping[str, Mapping[str, Any]] = {
+    "lifted_track": {"learn_templates": False},
+    "labels_track": {"learn_templates": False},
+}
+#: The fits themselves.
+LABELS = ("labels", "labels_track")
+METHODS = (*BASELINES, *TRAINED, "truth", *LABELS)
+#: Ways to place boxes that a network is trained alike for.
+_TRAINED_ALIKE = ("ground", "fitted", "refined")
+#: Name of the files that are written, unless another is asked for.
+_NAME = "learning"
 #: How a network of the user's is named in commands that are written down; what a command's runs have in common.
 _OWN_NETWORK = "network.safetensors"
 _Common = tuple[float, float, int, str | None]
@@ -83,13 +102,14 @@ def runs_of(arguments: argparse.Namespace) -> Iterator[Run]:
                     "method": method,
                     **recording_of(arguments),
                     "finetune": options_of(method, seed, arguments.steps, custom=network is not None),
+                    **({"lift": LIFTED_BY[method]} if method in LIFTED_BY else {}),
                     **own,
                 }
 
 
 def options_of(method: str, seed: int, steps: int, *, custom: bool = False) -> dict[str, Any] | None:
     """Options of fine-tuning; None where nothing is trained."""
-    if method == "labels" or method in BASELINES:
+    if method in LABELS or method in BASELINES:
         return None
     network = {"network": "custom"} if custom else {}
     return {**TRAINED.get(method, {"method": "lifted"}), **network, "seed": seed, "steps": steps}
@@ -98,24 +118,30 @@ def options_of(method: str, seed: int, steps: int, *, custom: bool = False) -> d
 def row(site: Site, run: Run) -> Figures:
     """The figures of a method."""
     about = {"chosen_on": site.number in CHOSEN_ON, "minutes": site.minutes}
-    if run["method"] == "labels":
-        return {**about, "decode": "plane", **label_figures(site)}
-    trained = trained_by(site, run["method"], run["finetune"])
+    if run["method"] in LABELS:
+        fitted = fitted_by(site, run["lift"]) if "lift" in run else site
+        return {**about, "decode": "plane", **label_figures(fitted)}
+    trained = trained_by(site, run["method"], run["finetune"], run.get("lift"))
     return {**about, "decode": trained.decode, **figures(site, trained)}
 
 
-def trained_by(site: Site, method: str, options: Mapping[str, Any] | None) -> Trained:
-    """The network of a method, trained where it is to be trained."""
+def trained_by(
+    site: Site, method: str, options: Mapping[str, Any] | None, lift: Mapping[str, Any] | None = None
+) -> Trained:
+    """The network of a method, trained where it is to be trained, on fits by the options ``lift``."""
     if options is None:
         return untrained(site, BASELINES[method] or site.usual_decode)
+    if options.get("decode") in _TRAINED_ALIKE:
+        alike = {name: value for name, value in options.items() if name != "decode"}
+        return placed(site, finetuned_by_stage(site, alike, lift), options["decode"])
     if method != "truth":
-        return finetuned_by_stage(site, options)
+        return finetuned_by_stage(site, options, lift)
     train, validation = (views(site, part, true_lifts(site)) for part in ("train", "val"))
     return finetuned_on(site, train, validation, FinetuneConfig(**options))
 
 
-def commands_of(rows: Sequence[Row]) -> list[str]:
-    """What to type for these rows: as few commands as there are kinds of runs."""
+def commands_of(rows: Sequence[Row], name: str | None = None) -> list[str]:
+    """What to type for these rows, in files of this name: as few commands as there are kinds of runs."""
     places: dict[tuple[int, int, _Common], list[Run]] = {}
     for run in (row["run"] for row in rows):
         recording = (run["seconds"], run["density"], width_px_of(run))
@@ -134,7 +160,7 @@ def commands_of(rows: Sequence[Row]) -> list[str]:
         for sites in dict.fromkeys(map(tuple, sites_of.values())):
             options: dict[str, Any] = {"sites": sites, "seeds": [s for s, of in sites_of.items() if tuple(of) == sites]}
             options |= {"seconds": seconds, "density": density, "width_px": width_px, "steps": steps}
-            options |= {"methods": methods, "network": network}
+            options |= {"methods": methods, "network": network, "name": name}
             commands.append(command_of("learning", **options))
     return commands
 
@@ -157,6 +183,7 @@ def parse() -> argparse.Namespace:
     parser.add_argument(
         "--network", type=Path, metavar="FILE", help="fine-tune this DLA-34, as `wibam weights convert` writes it"
     )
+    parser.add_argument("--name", default=_NAME, help="of the files that are written to --out")
     parser.add_argument("--short", action="store_true", help="site 11, 40 s at 640 px, 80 steps")
     parser.add_argument(
         "--draw",
@@ -175,7 +202,7 @@ def parse() -> argparse.Namespace:
 def made(arguments: argparse.Namespace) -> list[Row]:
     """The rows of all runs, each printed as soon as it is there."""
     rows = []
-    for one in made_rows(arguments, "learning", runs_of(arguments), row):
+    for one in made_rows(arguments, arguments.name, runs_of(arguments), row):
         rows.append(one)
         print(f"site {one['run']['site']}, seed {one['run']['seed']}\n{table([one])}", flush=True)
     return rows
@@ -187,16 +214,17 @@ def drawn(arguments: argparse.Namespace) -> list[Row]:
         if not read_rows(path):
             raise SystemExit(f"{path}: no row says what was run")
     rows = in_order(joined(arguments.draw))
-    write_rows(arguments.out / "learning.json", rows)
+    write_rows(arguments.out / f"{arguments.name}.json", rows)
     return rows
 
 
 def main() -> None:
     arguments = parse()
     rows = drawn(arguments) if arguments.draw else made(arguments)
-    text = document(rows, "\n".join(commands_of(rows)))
-    (arguments.out / "learning.md").write_text(text, encoding="utf-8")
-    draw(rows, arguments.out)
+    commands = commands_of(rows, None if arguments.name == _NAME else arguments.name)
+    text = document(rows, "\n".join(commands), arguments.name)
+    (arguments.out / f"{arguments.name}.md").write_text(text, encoding="utf-8")
+    draw(rows, arguments.out, arguments.name)
     print(text)
 
 

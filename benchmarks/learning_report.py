@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Sequence
 from pathlib import Path
 from textwrap import indent
@@ -13,6 +14,7 @@ from matplotlib.figure import Figure
 
 from benchmarks.learning_rows import Row, mean_of, versions, width_px_of
 from benchmarks.learning_sites import CHOSEN_ON
+from wibam_core.config import FinetuneConfig
 from wibam_core.evaluation.metrics import METRICS
 from wibam_core.report.results import PUBLISHED
 from wibam_core.report.style import (
@@ -38,12 +40,21 @@ COLUMNS = {
     "false_positives": ("false positives", 0),
     "bev_iou_misses_zero": ("BEV IoU, misses as 0", 3),
 }
-_COLOURS = {"baseline_depth": MUTED, "baseline": BASELINE, "lifted": FINETUNED, "truth": TRUTH, "labels": INK}
+_COLOURS = {
+    "baseline_depth": MUTED,
+    "baseline_plane": camera_colour(4),
+    "baseline": BASELINE,
+    "paper": camera_colour(3),
+    "lifted": FINETUNED,
+    "truth": TRUTH,
+    "labels": INK,
+}
+_OTHER = camera_colour(5)
 _SIGNIFICANT = 0.01
 
 
-def document(rows: Sequence[Row], command: str) -> str:
-    """Markdown: the command (one or more lines), what was chosen on, and all tables."""
+def document(rows: Sequence[Row], command: str, name: str = "learning") -> str:
+    """Markdown: the command (one or more lines), what was chosen on, and all tables; figures are those of `draw`."""
     sites = sorted({row["run"]["site"] for row in rows})
     seconds = " or ".join(f"{one:g}" for one in sorted({row["run"]["seconds"] for row in rows}))
     widths = " or ".join(map(str, sorted({width_px_of(row["run"]) for row in rows})))
@@ -56,6 +67,7 @@ def document(rows: Sequence[Row], command: str) -> str:
         f"{about} {caveats(rows)}",
         indent(command, "    "),
         table(rows),
+        *_titled("How a job is asked for a method, where it is not what it does unless asked.", options(rows)),
         *_titled(
             "BEV IoU against the baseline: runs in which it differs significantly (p < 0.01, bootstrap over vehicles).",
             verdicts(rows),
@@ -66,8 +78,8 @@ def document(rows: Sequence[Row], command: str) -> str:
             ratios(rows),
         ),
         *_titled("By distance from the camera: BEV IoU of the matched / recall.", by_distance(rows)),
-        "![metrics](learning.png)",
-        "![by distance](learning-distance.png)",
+        f"![metrics]({name}.png)",
+        f"![by distance]({name}-distance.png)",
     ]
     return "\n\n".join(parts) + "\n"
 
@@ -96,6 +108,24 @@ def table(rows: Sequence[Row]) -> str:
         cells = [_cell([mean_of(row, name) for row in mine], digits) for name, (_, digits) in COLUMNS.items()]
         lines.append(_line(method, mine[0]["decode"], len(mine), *cells))
     return "\n".join(lines)
+
+
+def options(rows: Sequence[Row]) -> str:
+    """Method -> how a job is asked for it; empty where all is as a job does it unless asked."""
+    usual = FinetuneConfig().model_dump()
+    lines = _head("method", "options of `wibam run`")
+    for method in methods_of(rows):
+        run = next(row["run"] for row in rows if row["run"]["method"] == method)
+        asked = {name: value for name, value in (run.get("finetune") or {}).items() if usual.get(name) != value}
+        asked = {f"finetune.{name}": value for name, value in asked.items() if name not in ("seed", "steps")}
+        asked |= {f"lift.{name}": value for name, value in run.get("lift", {}).items()}
+        if asked:
+            typed = (
+                f"--set {name}={value if isinstance(value, str) else json.dumps(value)}"
+                for name, value in asked.items()
+            )
+            lines.append(_line(method, f"`{' '.join(typed)}`"))
+    return "\n".join(lines) if len(lines) > 2 else ""
 
 
 def verdicts(rows: Sequence[Row]) -> str:
@@ -154,10 +184,10 @@ def by_distance(rows: Sequence[Row]) -> str:
     return "\n".join(lines) if len(lines) > 2 else ""
 
 
-def draw(rows: Sequence[Row], folder: Path) -> None:
-    """Write ``learning.png`` and ``learning-distance.png``."""
-    save(metrics_figure(rows), folder / "learning.png")
-    save(distance_figure(rows), folder / "learning-distance.png")
+def draw(rows: Sequence[Row], folder: Path, name: str = "learning") -> None:
+    """Write ``name.png`` and ``name-distance.png``."""
+    save(metrics_figure(rows), folder / f"{name}.png")
+    save(distance_figure(rows), folder / f"{name}-distance.png")
 
 
 def save(figure: Figure, path: Path) -> None:
@@ -168,30 +198,30 @@ def save(figure: Figure, path: Path) -> None:
 
 def metrics_figure(rows: Sequence[Row]) -> Figure:
     """Bars of the methods in each metric, with the published figures before and after as lines."""
-    figure = new_figure(11.0, 3.6)
-    panels = figure.subplots(1, len(METRICS))
+    methods = methods_of(rows)
+    figure = new_figure(11.0, 1.5 + 0.3 * len(methods))
+    panels = figure.subplots(1, len(METRICS), sharey=True)
     for axes, name in zip(panels, METRICS, strict=True):
-        for at, method in enumerate(methods_of(rows)):
+        for at, method in enumerate(methods):
             values = _known([mean_of(row, name) for row in rows if row["run"]["method"] == method])
             if values:
                 spread = np.std(values, ddof=1) if len(values) > 1 else None
                 error = {"ecolor": INK, "capsize": 2}
-                axes.bar(
-                    at, np.mean(values), 0.8, yerr=spread, color=colour_of(rows, method), error_kw=error, label=method
-                )
+                axes.barh(at, np.mean(values), 0.8, xerr=spread, color=colour_of(method), error_kw=error)
         before, after = PUBLISHED[name]
         _level(axes, before.mean, ":", "the paper, before (its own set)")
         _level(axes, after.mean, "--", "the paper, after (its own set)")
         better = "higher" if name in ("bev_iou", "iou_3d") else "lower"
-        tidy(axes, title=COLUMNS[name][0], x=f"{better} is better")
-        axes.set_xticks([])
+        tidy(axes, title=COLUMNS[name][0], x=f"{better} is better", grid="x")
+    panels[0].set_yticks(range(len(methods)), methods)
+    panels[0].invert_yaxis()
     handles, labels = panels[0].get_legend_handles_labels()
-    figure.legend(handles, labels, loc="outside lower center", ncols=4, fontsize=8.5, frameon=False)
+    figure.legend(handles, labels, loc="outside lower center", ncols=2, fontsize=8.5, frameon=False)
     return figure
 
 
 def distance_figure(rows: Sequence[Row]) -> Figure:
-    """BEV IoU, ATE and recall of the methods by distance from the camera."""
+    """BEV IoU, ATE and recall by distance from the camera, of the methods that have a colour of their own."""
     figure = new_figure(11.0, 3.4)
     edges = _distance_edges(rows)
     places = [(low + high) / 2 for low, high in edges]
@@ -200,11 +230,11 @@ def distance_figure(rows: Sequence[Row]) -> Figure:
         (("bev_iou", "BEV IoU (matched)"), ("ate_m", "ATE (m, matched)"), ("recall", "recall")),
         strict=True,
     ):
-        for method in methods_of(rows):
+        for method in filter(_COLOURS.__contains__, methods_of(rows)):
             means = [_known(_of_bin(rows, method, edge, name)) for edge in edges]
             known = [(place, np.mean(values)) for place, values in zip(places, means, strict=True) if values]
             if known:
-                axes.plot(*zip(*known, strict=True), "o-", color=colour_of(rows, method), markersize=4, label=method)
+                axes.plot(*zip(*known, strict=True), "o-", color=colour_of(method), markersize=4, label=method)
         tidy(axes, title=title, x="distance (m)")
         axes.set_ylim(0, None if name == "ate_m" else 1)
     handles, labels = figure.axes[0].get_legend_handles_labels()
@@ -212,10 +242,9 @@ def distance_figure(rows: Sequence[Row]) -> Figure:
     return figure
 
 
-def colour_of(rows: Sequence[Row], method: str) -> str:
-    """The same in every figure of these rows."""
-    others = [one for one in methods_of(rows) if one not in _COLOURS]
-    return _COLOURS[method] if method in _COLOURS else camera_colour(2 + others.index(method))
+def colour_of(method: str) -> str:
+    """The same in every figure: its own of the usual methods, one for all others."""
+    return _COLOURS.get(method, _OTHER)
 
 
 def _titled(title: str, rows: str) -> tuple[str, ...]:
@@ -224,7 +253,7 @@ def _titled(title: str, rows: str) -> tuple[str, ...]:
 
 def _level(axes: Axes, value: float | None, dashes: str, label: str) -> None:
     if value is not None:
-        axes.axhline(value, color=MUTED, linestyle=dashes, linewidth=1.2, label=label)
+        axes.axvline(value, color=MUTED, linestyle=dashes, linewidth=1.2, label=label)
 
 
 def _place(row: Row) -> tuple[Any, Any]:

@@ -156,18 +156,30 @@ def site_of(number: int, folder: SiteFolder, store: StageStore, stages: Mapping[
     )
 
 
+def fitted_by(site: Site, options: Mapping[str, Any]) -> Site:
+    """The site with fits made by these options of the stage that makes them."""
+    stages = run_pipeline(site.folder, site.store, PipelineConfig.parse({"lift": dict(options)}), until="lift").folders
+    return site_of(site.number, site.folder, site.store, stages)
+
+
 def untrained(site: Site, decode: Decode) -> Trained:
     """What fine-tuning starts from."""
     return Trained(load_monocular(site.start), decode, SdFactors())
 
 
-def finetuned_by_stage(site: Site, options: Mapping[str, Any]) -> Trained:
-    """Fine-tuned as a job does it; taken from the store where that was done before."""
-    config = PipelineConfig.parse({"finetune": dict(options)})
+def finetuned_by_stage(site: Site, options: Mapping[str, Any], lift: Mapping[str, Any] | None = None) -> Trained:
+    """Fine-tuned as a job with these options does it; taken from the store where that was done before."""
+    config = PipelineConfig.parse({"finetune": dict(options), "lift": dict(lift or {})})
     done = run_pipeline(site.folder, site.store, config, until="finetune").folders["finetune"]
     curves = json.loads((done / "curves.json").read_text())
     network = load_monocular(done / "weights.safetensors")
     return Trained(network, config.finetune.decode, SdFactors(**curves["sd_factors"]))
+
+
+def placed(site: Site, trained: Trained, decode: Decode) -> Trained:
+    """The same network with its boxes placed otherwise, and its standard deviations calibrated to that."""
+    data = SiteDataset(site.frames, site.rig, *(views(site, part, site.lifts) for part in ("train", "val")))
+    return Trained(trained.network, decode, sd_factors(trained.network, data, decode))
 
 
 def finetuned_on(

@@ -56,21 +56,32 @@ _Key = tuple[int, str, int]
 
 @dataclass(frozen=True)
 class Recipe:
-    """How a network is made: ``steps`` of fine-tuning on so many frames (None: all); 0 steps are the bundled one."""
+    """How a network is made: ``steps`` of fine-tuning on so many frames (None: all); 0 steps are the bundled one.
+
+    Boxes are placed as by a job with this method, unless ``decode`` says.
+    """
 
     steps: int = 0
     method: str = "lifted"
-    decode: Decode = "plane"
+    decode: Decode | None = None
     frames: int | None = None
+
+    @property
+    def finetune(self) -> FinetuneConfig:
+        """How it is trained, if it is."""
+        options: dict[str, Any] = {"steps": self.steps, "method": self.method}
+        return FinetuneConfig(**options, **({} if self.decode is None else {"decode": self.decode}))
 
 
 RECIPES = {
     "baseline": Recipe(),
+    "baseline_plane": Recipe(decode="plane"),
     "baseline_depth": Recipe(decode="depth"),
     "lifted_20": Recipe(20),
     "lifted_60": Recipe(60),
     "lifted_150": Recipe(150),
     "lifted_350": Recipe(350),
+    "lifted_1200": Recipe(1200),
     "lifted_8_frames": Recipe(100, frames=8),
     "lifted_40_frames": Recipe(100, frames=40),
     "paper_200": Recipe(200, method="paper"),
@@ -80,13 +91,12 @@ RECIPES = {
 def made_by(site: Site, recipe: Recipe) -> Trained:
     """The network of a recipe."""
     if not recipe.steps:
-        return untrained(site, recipe.decode)
+        return untrained(site, recipe.decode or site.usual_decode)
     complete = recipe.method != "paper"
     train, validation = (views(site, part, site.lifts, complete=complete) for part in ("train", "val"))
     if recipe.frames is not None:
         train = train[:: max(1, len(train) // recipe.frames)][: recipe.frames]
-    options: dict[str, Any] = {"steps": recipe.steps, "method": recipe.method, "decode": recipe.decode}
-    return finetuned_on(site, train, validation, FinetuneConfig(**options))
+    return finetuned_on(site, train, validation, recipe.finetune)
 
 
 def row(site: Site, run: Run) -> Figures:
@@ -250,7 +260,7 @@ def runs_of(arguments: argparse.Namespace) -> Iterator[Run]:
 def main() -> None:
     parser = site_parser(__doc__, sites=[11, 12, 21, 22], seconds=90.0)
     parser.add_argument("--networks", nargs="+", choices=RECIPES, default=list(RECIPES))
-    parser.add_argument("--most-steps", type=int, default=350, help="no network is trained for longer")
+    parser.add_argument("--most-steps", type=int, default=1200, help="no network is trained for longer")
     arguments = parser.parse_args()
     rows: list[Row] = []
     for made in made_rows(arguments, "self-consistency", runs_of(arguments), row):

@@ -12,15 +12,16 @@ import pytest
 
 from benchmarks import data_amount, learning
 from benchmarks.learning_options import command_of, site_parser
-from benchmarks.learning_report import by_distance, document, draw, ratios, table, verdicts
+from benchmarks.learning_report import by_distance, document, draw, options, ratios, table, verdicts
 from benchmarks.learning_rows import RowFile, Run, code_version, joined, mean_of, read_rows, versions, write_rows
-from wibam_core.config import FinetuneConfig
+from wibam_core.cli.run import parse_options
+from wibam_core.config import FinetuneConfig, PipelineConfig
 
 
 def arguments(**changed: Any) -> argparse.Namespace:
-    options = {"sites": [11, 31], "seeds": [0, 1], "methods": ["baseline", "lifted"], "steps": 5, "seconds": 9.0}
+    usual = {"sites": [11, 31], "seeds": [0, 1], "methods": ["baseline", "lifted"], "steps": 5, "seconds": 9.0}
     return argparse.Namespace(
-        **{**options, "density": 1.0, "width_px": 640, "shares": [0.5, 1.0], "network": None, **changed}
+        **{**usual, "density": 1.0, "width_px": 640, "shares": [0.5, 1.0], "network": None, **changed}
     )
 
 
@@ -192,6 +193,12 @@ def test_rows_of_files_are_drawn_without_running_anything(tmp_path: Path, monkey
     assert "--width-px 640" in text and "120 s each, 640 px wide" in text
     assert "| lifted | plane | 2 | 0.650" in text and "x (1), not recorded (2)" in text
     assert (tmp_path / "out" / "learning.png").is_file()
+    monkeypatch.setattr(sys, "argv", [*sys.argv, "--name", "other"])
+    learning.main()
+    assert json.loads((tmp_path / "out" / "other.json").read_text()) == written
+    text = (tmp_path / "out" / "other.md").read_text()
+    assert "--methods baseline lifted --name other" in text and "![metrics](other.png)" in text
+    assert (tmp_path / "out" / "other.png").is_file() and (tmp_path / "out" / "other-distance.png").is_file()
     (tmp_path / "b.json").write_text('[{"site": 501}]')
     with pytest.raises(SystemExit, match=r"b\.json"):
         learning.main()
@@ -204,11 +211,42 @@ def test_commands_are_typed_as_they_are_parsed() -> None:
     assert (shared.sites, shared.seconds, shared.keep, shared.fresh) == ([2, 3], 9.0, False, False)
 
 
+def test_methods_say_how_their_fits_are_made_and_a_job_is_asked() -> None:
+    methods = ["lifted", "lifted_track", "labels_track", "paper_code"]
+    runs = list(learning.runs_of(arguments(sites=[501], seeds=[0], methods=methods)))
+    assert [run.get("lift") for run in runs] == [None, {"learn_templates": False}, {"learn_templates": False}, None]
+    asked = options([{"run": run} for run in runs])
+    assert "| lifted |" not in asked
+    assert "| lifted_track | `--set lift.learn_templates=false` |" in asked.splitlines()
+    own_view = "--set finetune.method=paper --set finetune.own_view=true --set finetune.box_heads=true"
+    assert f"| paper_code | `{own_view} --set finetune.decode=depth` |" in asked.splitlines()
+    for line in asked.splitlines()[2:]:
+        PipelineConfig.parse(parse_options(line.split("`")[1].split()[1::2]))
+
+
+def test_one_network_serves_all_ways_to_place_boxes_that_it_is_trained_alike_for(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    def trained(site: Any, options: Run, lift: Run | None = None) -> tuple[Any, Run, Run | None]:
+        return site, options, lift
+
+    monkeypatch.setattr(learning, "finetuned_by_stage", trained)
+    monkeypatch.setattr(learning, "placed", lambda site, network, decode: (network, decode))
+    site: Any = "site"
+    usual = learning.options_of("lifted", 0, 5)
+    for decode in ("ground", "fitted"):
+        found: Any = learning.trained_by(site, f"lifted_{decode}", learning.options_of(f"lifted_{decode}", 0, 5))
+        assert found == ((site, usual, None), decode)
+    for method in ("lifted_plane", "paper_code"):
+        own: Any = learning.trained_by(site, method, learning.options_of(method, 0, 5))
+        assert own == (site, learning.options_of(method, 0, 5), None)
+
+
 def test_every_method_has_options_that_exist() -> None:
     for method in learning.METHODS:
-        options = learning.options_of(method, seed=3, steps=7)
-        if options is not None:
-            assert FinetuneConfig(**options).steps == 7
+        asked = learning.options_of(method, seed=3, steps=7)
+        if asked is not None:
+            assert FinetuneConfig(**asked).steps == 7
     assert learning.options_of("labels", 0, 1) is None
     assert set(learning.DEFAULT_METHODS) <= set(learning.METHODS)
 

@@ -12,7 +12,7 @@ from benchmarks import robustness, self_consistency
 from benchmarks.learning_sites import Site
 from tests.builders import corner_rig, site_of
 from tests.multiview import crossing
-from wibam_core.config import AssociateConfig, DatasetConfig, FinetuneConfig, LiftConfig
+from wibam_core.config import AssociateConfig, DatasetConfig, LiftConfig
 from wibam_core.dataset.split import SUBSETS, Split
 from wibam_core.evaluation.instants import exposure_times
 from wibam_core.formats.annotations import write_annotations
@@ -171,7 +171,9 @@ def test_the_consistency_document_and_figure(tmp_path: Path) -> None:
     assert (tmp_path / "scatter.png").stat().st_size > 5000
 
 
-def test_recipes_are_options_that_exist() -> None:
-    for recipe in self_consistency.RECIPES.values():
-        if recipe.steps:
-            FinetuneConfig(steps=recipe.steps, method=recipe.method, decode=recipe.decode)  # type: ignore[arg-type]
+def test_recipes_place_boxes_as_jobs_do() -> None:
+    trained = {name: recipe for name, recipe in self_consistency.RECIPES.items() if recipe.steps}
+    assert {recipe.finetune.decode for name, recipe in trained.items() if name.startswith("lifted")} == {"refined"}
+    assert trained["paper_200"].finetune.decode == "plane"
+    assert trained["lifted_20"].finetune.steps == 20
+    assert self_consistency.Recipe(9, decode="depth").finetune.decode == "depth"

@@ -13,6 +13,7 @@ from wibam_core.errors import InvalidOption
 from wibam_core.models.decode import boxes3d, gather
 from wibam_core.models.inference import prepare_camera
 from wibam_core.models.small import MEAN_SIZES_M, SmallOutputs
+from wibam_core.models.usage import SMALL_DECODES
 from wibam_core.training.augment import mirror, mirror_camera
 from wibam_core.training.dataset import ImageCache, SiteView, site_views
 from wibam_core.training.losses import LossWeights, lifted_loss
@@ -80,6 +81,14 @@ def as_pairs(views: OtherViews) -> set[tuple[int, int, tuple[float, ...]]]:
 
 
 # --- the own view -------------------------------------------------------------------------------
+def test_all_ways_to_place_boxes_by_their_footprints_are_trained_alike(labelled: list[LabelledView]) -> None:
+    targets = encode(labelled[:4])
+    outputs = random_outputs(targets)
+    loss = {decode: LiftedObjective(decode)(outputs, targets, SIZES, None) for decode in SMALL_DECODES}
+    alike = {decode for decode, parts in loss.items() if all(torch.equal(parts[k], loss["refined"][k]) for k in parts)}
+    assert alike == {"ground", "fitted", "refined"}
+
+
 def test_own_view_adds_the_own_views_pairs_and_no_others(site: TinySite, views: list[SiteView]) -> None:
     chosen = views[:3]
     without = as_pairs(OtherCameras(site.rig).of(chosen, [False] * 3))
