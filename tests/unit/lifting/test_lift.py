@@ -9,10 +9,13 @@ import pytest
 from tests.builders import corner_rig
 from tests.multiview import crossing
 from wibam_core.association.associate import associate
+from wibam_core.association.rays import rig_centre
 from wibam_core.config import AssociateConfig, LiftConfig
 from wibam_core.geometry.iou import bev_iou_paired
 from wibam_core.geometry.se3 import SE3
 from wibam_core.lifting.lift import LiftResult, lift
+from wibam_core.lifting.sizes import track_sizes
+from wibam_core.lifting.trajectory import Tracks
 from wibam_core.scene import AnnotatedInstant, CameraRig, Vehicles3D
 
 
@@ -102,6 +105,23 @@ def test_a_vehicle_has_one_size_and_stands_on_the_ground() -> None:
     assert -1 not in sizes
     spread = [np.ptp(np.log(s), axis=0).max() for s in sizes.values()]
     assert np.median(spread) < 0.03
+
+
+def test_the_size_of_a_track_is_told_by_where_its_vehicle_was_seen(monkeypatch: pytest.MonkeyPatch) -> None:
+    given: list[tuple[np.ndarray, np.ndarray]] = []
+
+    def spy(tracks: Tracks, sizes: np.ndarray, *rest: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        given.append((tracks.rows[:, 0], rest[-1]))
+        return track_sizes(tracks, sizes, *rest)
+
+    monkeypatch.setattr("wibam_core.lifting.lift.track_sizes", spy)
+    instants = annotated(True)[:10]
+    lift(instants, crossing().rig, LiftConfig())
+    [(first, places)] = given
+    seen = instants[0].vehicles
+    there = np.array([(vehicle.x_m, vehicle.y_m) for vehicle in seen]) - rig_centre(crossing().rig)[:2]
+    nearest = [np.hypot(*(there - place).T).min() for place in places[first[: len(seen)]]]
+    assert np.median(nearest) < 1
 
 
 def test_standard_deviations_are_of_the_right_size() -> None:
