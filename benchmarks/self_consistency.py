@@ -30,6 +30,7 @@ from benchmarks.learning_sites import (
     Trained,
     detections,
     evaluation,
+    finetuned_by_stage,
     finetuned_on,
     untrained,
     views,
@@ -67,10 +68,10 @@ class Recipe:
     frames: int | None = None
 
     @property
-    def finetune(self) -> FinetuneConfig:
-        """How it is trained, if it is."""
-        options: dict[str, Any] = {"steps": self.steps, "method": self.method}
-        return FinetuneConfig(**options, **({} if self.decode is None else {"decode": self.decode}))
+    def options(self) -> dict[str, Any]:
+        """Of fine-tuning."""
+        placed = {} if self.decode is None else {"decode": self.decode}
+        return {"steps": self.steps, "method": self.method, **placed}
 
 
 RECIPES = {
@@ -89,14 +90,14 @@ RECIPES = {
 
 
 def made_by(site: Site, recipe: Recipe) -> Trained:
-    """The network of a recipe."""
+    """The network of a recipe; where all frames teach it, as a job trains it, whose network may be there already."""
     if not recipe.steps:
         return untrained(site, recipe.decode or site.usual_decode)
-    complete = recipe.method != "paper"
-    train, validation = (views(site, part, site.lifts, complete=complete) for part in ("train", "val"))
-    if recipe.frames is not None:
-        train = train[:: max(1, len(train) // recipe.frames)][: recipe.frames]
-    return finetuned_on(site, train, validation, recipe.finetune)
+    if recipe.frames is None:
+        return finetuned_by_stage(site, recipe.options)
+    train, validation = (views(site, part, site.lifts) for part in ("train", "val"))
+    few = train[:: max(1, len(train) // recipe.frames)][: recipe.frames]
+    return finetuned_on(site, few, validation, FinetuneConfig(**recipe.options))
 
 
 def row(site: Site, run: Run) -> Figures:

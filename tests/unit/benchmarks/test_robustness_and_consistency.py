@@ -12,7 +12,7 @@ from benchmarks import robustness, self_consistency
 from benchmarks.learning_sites import Site
 from tests.builders import corner_rig, site_of
 from tests.multiview import crossing
-from wibam_core.config import AssociateConfig, DatasetConfig, LiftConfig
+from wibam_core.config import AssociateConfig, DatasetConfig, FinetuneConfig, LiftConfig
 from wibam_core.dataset.split import SUBSETS, Split
 from wibam_core.evaluation.instants import exposure_times
 from wibam_core.formats.annotations import write_annotations
@@ -172,8 +172,7 @@ def test_the_consistency_document_and_figure(tmp_path: Path) -> None:
 
 
 def test_recipes_place_boxes_as_jobs_do() -> None:
-    trained = {name: recipe for name, recipe in self_consistency.RECIPES.items() if recipe.steps}
-    assert {recipe.finetune.decode for name, recipe in trained.items() if name.startswith("lifted")} == {"refined"}
-    assert trained["paper_200"].finetune.decode == "plane"
-    assert trained["lifted_20"].finetune.steps == 20
-    assert self_consistency.Recipe(9, decode="depth").finetune.decode == "depth"
+    of = {name: FinetuneConfig(**recipe.options) for name, recipe in self_consistency.RECIPES.items() if recipe.steps}
+    assert {config.decode for name, config in of.items() if name.startswith("lifted")} == {"refined"}
+    assert of["paper_200"].decode == "plane" and of["lifted_20"].steps == 20
+    assert self_consistency.Recipe(9, decode="depth").options == {"steps": 9, "method": "lifted", "decode": "depth"}
