@@ -20,6 +20,7 @@ from wibam_core.evaluation.labels_at import LabelTimeline
 from wibam_core.evaluation.matching import assign, match_on_ground
 from wibam_core.evaluation.metrics import METRICS, compare
 from wibam_core.evaluation.reliability import reliability
+from wibam_core.evaluation.self_consistency import Agreement, agreements, roughness, self_consistency
 from wibam_core.evaluation.significance import significance
 from wibam_core.evaluation.summary import by_class, by_distance, by_elevation, mean_sd, summarise
 from wibam_core.evaluation.uncertainty import SdFactors
@@ -50,8 +51,13 @@ from wibam_core.training.finetune import SiteDataset, finetune
 CHOSEN_ON = frozenset({11, 12, 13, 21, 22})
 #: A true vehicle farther than this from a cluster of rays is another one, m.
 _SAME_VEHICLE_M = 3.0
+#: What is told of the true error of a vehicle; it needs so many boxes that other views were compared with.
+OF_VEHICLE = ("bev_iou", "ate_m")
+_MIN_SIGHTINGS = 4
 
 Figures = dict[str, Any]
+#: Instant, camera, row of a detection.
+_Key = tuple[int, str, int]
 
 
 @dataclass(frozen=True, eq=False)
@@ -240,7 +246,7 @@ def evaluation(site: Site, found: Sequence[Vehicles3D], mode: Mode = "correct") 
 
 
 def figures(site: Site, trained: Trained) -> Figures:
-    """All that a row says of a network: metrics, parts, significance against the baseline, reliability."""
+    """All that a row says of a network: metrics, parts, significance against the baseline, consistency, reliability."""
     found = detections(site, trained)
     correct, published = evaluation(site, found), evaluation(site, found, "paper_compat")
     kinds = reliability(correct.errors, correct.sd)
@@ -251,6 +257,7 @@ def figures(site: Site, trained: Trained) -> Figures:
         "by_elevation": by_elevation(correct),
         "by_class": by_class(correct),
         "significance": significance(site.baseline, correct),
+        "consistency": consistency(site, found),
         "sd_factors": vars(trained.factors),
         "reliability": {
             kind: {name: of.get(name) for name in ("scale_factor", "calibration_error")} for kind, of in kinds.items()
@@ -277,3 +284,53 @@ def label_figures(site: Site) -> Figures:
             theirs.append(boxes)
     metrics = compare(np.concatenate(ours), np.concatenate(theirs))
     return {name: mean_sd(getattr(metrics, name)) for name in METRICS} | {"matched": sum(map(len, ours))}
+
+
+def consistency(site: Site, found: Sequence[Vehicles3D]) -> Figures:
+    """What needs no label, of all detections, and beside the truth of every vehicle."""
+    measured = self_consistency(found, site.of("test"), site.rig)
+    return {**{name: measured[name] for name in ("other_views", "roughness_m")}, "vehicles": _of_vehicles(site, found)}
+
+
+def _of_vehicles(site: Site, found: Sequence[Vehicles3D]) -> list[dict[str, float]]:
+    """Of every vehicle with enough boxes: means over its boxes in all views."""
+    truth = _true_figures(site, found)
+    tracks: dict[int, list[Agreement]] = {}
+    for one in agreements(found, site.of("test"), site.rig)[0]:
+        if one.track_id >= 0 and (one.time_ns, one.camera_id, one.row) in truth:
+            tracks.setdefault(one.track_id, []).append(one)
+    result = []
+    for track_id, boxes in tracks.items():
+        rough = roughness(boxes)
+        if len(boxes) < _MIN_SIGHTINGS or not len(rough):
+            continue
+        true = np.array([truth[one.time_ns, one.camera_id, one.row] for one in boxes])
+        others = [iou for one in boxes for iou in one.other_ious]
+        result.append(
+            {
+                "track": track_id,
+                "boxes": len(boxes),
+                "other_views": float(np.mean(others)),
+                "roughness_m": float(rough.mean()),
+                **dict(zip(OF_VEHICLE, true.mean(axis=0).tolist(), strict=True)),
+            }
+        )
+    return result
+
+
+def _true_figures(site: Site, found: Sequence[Vehicles3D]) -> dict[_Key, tuple[float, float]]:
+    """(instant, camera, row) -> BEV IoU and ATE of every detection that is a true vehicle."""
+    exposed = exposure_times(site.test_frames)
+    result: dict[_Key, tuple[float, float]] = {}
+    for vehicles in found:
+        camera_id = str(vehicles.camera_id)
+        labelled = site.labels.at(exposed[vehicles.time_ns, camera_id])
+        if labelled is None:
+            continue
+        truth = labelled.vehicles.boxes
+        match = match_on_ground(truth, np.ones(len(truth), bool), vehicles.boxes, EvaluateConfig().match_distance_m)
+        metrics = compare(vehicles.boxes[match.detections], truth[match.labels])
+        for number, detection in enumerate(match.detections.tolist()):
+            key = (vehicles.time_ns, camera_id, detection)
+            result[key] = (float(metrics.bev_iou[number]), float(metrics.ate_m[number]))
+    return result

@@ -4,9 +4,10 @@ Networks of varied quality (before fine-tuning, after few and many steps, taught
 on several sites. For each, and for each vehicle of the test part, what self-consistency says is compared with the
 truth: the image IoU of boxes in the views that they were not predicted in, and their roughness (how far they lie beside
 the straight line between the boxes before and after), against BEV IoU and ATE. Prints the correlations.
-Writes ``self-consistency.json`` (a killed run goes on where it was), ``self-consistency.md`` and ``.png``.
+Writes ``self-consistency.json`` (a killed run goes on where it was), ``self-consistency.md`` and ``.png``. Networks
+that ``benchmarks.learning`` measured can be compared, too.
 
-Run: python -m benchmarks.self_consistency --sites 11 12 21 22 --seconds 90 --out docs
+Run: python -m benchmarks.self_consistency --sites 11 12 21 22 --seconds 90 --out docs [--with docs/ablation.json]
 """
 
 from __future__ import annotations
@@ -14,6 +15,7 @@ from __future__ import annotations
 import argparse
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -22,37 +24,27 @@ from scipy import stats
 
 from benchmarks.learning_options import command_of, made_rows, recording_of, site_parser
 from benchmarks.learning_report import caveats, save
-from benchmarks.learning_rows import Row, Run, mean_of
+from benchmarks.learning_rows import Row, Run, joined, mean_of
 from benchmarks.learning_sites import (
     CHOSEN_ON,
+    OF_VEHICLE,
     Figures,
     Site,
     Trained,
-    detections,
-    evaluation,
+    figures,
     finetuned_by_stage,
     finetuned_on,
     untrained,
     views,
 )
-from wibam_core.config import EvaluateConfig, FinetuneConfig
-from wibam_core.evaluation.instants import exposure_times
-from wibam_core.evaluation.matching import match_on_ground
-from wibam_core.evaluation.metrics import METRICS, compare
-from wibam_core.evaluation.self_consistency import Agreement, agreements, roughness, self_consistency
-from wibam_core.evaluation.summary import summarise
+from wibam_core.config import FinetuneConfig
 from wibam_core.models.decode import Decode
 from wibam_core.report.style import camera_colour, new_figure, tidy
-from wibam_core.scene import Vehicles3D
 
 #: What needs no label -> title.
 MEASURES = {"other_views": "IoU in other views", "roughness_m": "roughness (m)"}
-#: The truth of a network -> title; that of a vehicle is the first two.
+#: The truth of a network -> title; that of a vehicle is `OF_VEHICLE`.
 TRUTHS = {"bev_iou": "BEV IoU", "ate_m": "ATE (m)", "bev_iou_misses_zero": "BEV IoU, misses as 0"}
-OF_VEHICLE = ("bev_iou", "ate_m")
-#: A vehicle needs so many compared boxes.
-_MIN_SIGHTINGS = 4
-_Key = tuple[int, str, int]
 
 
 @dataclass(frozen=True)
@@ -101,60 +93,13 @@ def made_by(site: Site, recipe: Recipe) -> Trained:
 
 
 def row(site: Site, run: Run) -> Figures:
-    """Both sides of one network: of its test part as a whole, and of each vehicle in it."""
-    found = detections(site, made_by(site, Recipe(**run["recipe"])))
-    consistency = self_consistency(found, site.of("test"), site.rig)
-    truth = summarise(evaluation(site, found))
-    return {
-        "chosen_on": site.number in CHOSEN_ON,
-        **{name: consistency[name] for name in (*MEASURES, "own_view", "found")},
-        **{name: truth[name] for name in (*METRICS, "recall", "bev_iou_misses_zero")},
-        "vehicles": of_vehicles(site, found),
-    }
+    """The figures of one network."""
+    return {"chosen_on": site.number in CHOSEN_ON, **figures(site, made_by(site, Recipe(**run["recipe"])))}
 
 
-def of_vehicles(site: Site, found: Sequence[Vehicles3D]) -> list[dict[str, float]]:
-    """Both sides of every vehicle with enough boxes: means over its boxes in all views."""
-    truth = _true_figures(site, found)
-    tracks: dict[int, list[Agreement]] = {}
-    for one in agreements(found, site.of("test"), site.rig)[0]:
-        if one.track_id >= 0 and (one.time_ns, one.camera_id, one.row) in truth:
-            tracks.setdefault(one.track_id, []).append(one)
-    result = []
-    for track_id, boxes in tracks.items():
-        rough = roughness(boxes)
-        if len(boxes) < _MIN_SIGHTINGS or not len(rough):
-            continue
-        true = np.array([truth[one.time_ns, one.camera_id, one.row] for one in boxes])
-        others = [iou for one in boxes for iou in one.other_ious]
-        result.append(
-            {
-                "track": track_id,
-                "boxes": len(boxes),
-                "other_views": float(np.mean(others)),
-                "roughness_m": float(rough.mean()),
-                **dict(zip(OF_VEHICLE, true.mean(axis=0).tolist(), strict=True)),
-            }
-        )
-    return result
-
-
-def _true_figures(site: Site, found: Sequence[Vehicles3D]) -> dict[_Key, tuple[float, float]]:
-    """(instant, camera, row) -> BEV IoU and ATE of every detection that is a true vehicle."""
-    exposed = exposure_times(site.test_frames)
-    result: dict[_Key, tuple[float, float]] = {}
-    for vehicles in found:
-        camera_id = str(vehicles.camera_id)
-        labelled = site.labels.at(exposed[vehicles.time_ns, camera_id])
-        if labelled is None:
-            continue
-        truth = labelled.vehicles.boxes
-        match = match_on_ground(truth, np.ones(len(truth), bool), vehicles.boxes, EvaluateConfig().match_distance_m)
-        metrics = compare(vehicles.boxes[match.detections], truth[match.labels])
-        for number, detection in enumerate(match.detections.tolist()):
-            key = (vehicles.time_ns, camera_id, detection)
-            result[key] = (float(metrics.bev_iou[number]), float(metrics.ate_m[number]))
-    return result
+def both_sides(rows: Sequence[Row]) -> list[Row]:
+    """What needs no label beside the truth, of networks; rows without, as of labels, are left out."""
+    return [{**row, **row["consistency"]} for row in rows if "consistency" in row]
 
 
 @dataclass(frozen=True)
@@ -216,7 +161,7 @@ def document(rows: Sequence[Row], command: str) -> str:
         values = [mean_of(row, name) for name in (*MEASURES, *TRUTHS)]
         shown = ["–" if value is None else f"{value:.3f}" for value in values]
         table.append(
-            f"| {row['run']['site']} | {row['run']['network']} | {' | '.join(shown)} | {len(row['vehicles'])} |"
+            f"| {row['run']['site']} | {row['run']['method']} | {' | '.join(shown)} | {len(row['vehicles'])} |"
         )
     about = (
         "Spearman's / Pearson's correlation (number of pairs; of one site or network: mean over so many). IoU in "
@@ -255,20 +200,33 @@ def runs_of(arguments: argparse.Namespace) -> Iterator[Run]:
     for number in arguments.sites:
         for name in arguments.networks:
             recipe = replace(RECIPES[name], steps=min(RECIPES[name].steps, arguments.most_steps))
-            yield {"site": number, "network": name, **recording_of(arguments), "recipe": vars(recipe)}
+            yield {"site": number, "method": name, **recording_of(arguments), "recipe": vars(recipe)}
 
 
 def main() -> None:
     parser = site_parser(__doc__, sites=[11, 12, 21, 22], seconds=90.0)
     parser.add_argument("--networks", nargs="+", choices=RECIPES, default=list(RECIPES))
     parser.add_argument("--most-steps", type=int, default=1200, help="no network is trained for longer")
+    parser.add_argument(
+        "--with",
+        dest="others",
+        type=Path,
+        nargs="+",
+        default=[],
+        metavar="FILE",
+        help="compare the networks of these rows of benchmarks.learning, too",
+    )
     arguments = parser.parse_args()
-    rows: list[Row] = []
-    for made in made_rows(arguments, "self-consistency", runs_of(arguments), row):
-        rows.append(made)
-        print({**made["run"], **{name: mean_of(made, name) for name in (*MEASURES, *TRUTHS)}}, flush=True)
-    typed = ("sites", "networks", "most_steps", *recording_of(arguments))
-    text = document(rows, command_of("self_consistency", **{name: getattr(arguments, name) for name in typed}))
+    made: list[Row] = []
+    for one in made_rows(arguments, "self-consistency", runs_of(arguments), row):
+        made.append(one)
+        print(
+            {**one["run"], **{name: mean_of(both_sides([one])[0], name) for name in (*MEASURES, *TRUTHS)}}, flush=True
+        )
+    typed = {name: getattr(arguments, name) for name in ("sites", "networks", "most_steps", *recording_of(arguments))}
+    rows = both_sides([*made, *joined(arguments.others)])
+    with_others = {"with": [path.as_posix() for path in arguments.others] or None}
+    text = document(rows, command_of("self_consistency", **typed, **with_others))
     (arguments.out / "self-consistency.md").write_text(text, encoding="utf-8")
     save(scatter_figure(rows), arguments.out / "self-consistency.png")
     print(text)

@@ -2,24 +2,27 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
 import pytest
 
 from benchmarks import robustness, self_consistency
-from benchmarks.learning_sites import Site
+from benchmarks.learning_sites import Site, consistency
 from tests.builders import corner_rig, site_of
-from tests.multiview import crossing
+from tests.multiview import Scene, crossing
 from wibam_core.config import AssociateConfig, DatasetConfig, FinetuneConfig, LiftConfig
 from wibam_core.dataset.split import SUBSETS, Split
 from wibam_core.evaluation.instants import exposure_times
+from wibam_core.evaluation.labels_at import LabelTimeline
 from wibam_core.formats.annotations import write_annotations
 from wibam_core.formats.rig import read_rig, write_rig
 from wibam_core.formats.vehicles3d import read_vehicles3d
 from wibam_core.progress import silent
-from wibam_core.scene import AnnotatedInstant, Detections2D, FrameSet, Vehicles3D
+from wibam_core.scene import AnnotatedInstant, Detections2D, FrameSet, LabelledInstant, Vehicles3D
 from wibam_core.stages import associate, dataset, lift
 from wibam_core.stages.base import StageContext
 
@@ -141,7 +144,7 @@ def networks() -> list[dict[str, Any]]:
             figures = {"other_views": quality - site, "roughness_m": 1 - quality, "bev_iou": quality + site}
             rows.append(
                 {
-                    "run": {"site": site, "network": f"q{quality}"},
+                    "run": {"site": site, "method": f"q{quality}"},
                     **figures,
                     "ate_m": 1 - quality,
                     "bev_iou_misses_zero": None,
@@ -169,6 +172,40 @@ def test_the_consistency_document_and_figure(tmp_path: Path) -> None:
     assert "No site was used to choose" in text
     self_consistency.save(self_consistency.scatter_figure(networks()), tmp_path / "scatter.png")
     assert (tmp_path / "scatter.png").stat().st_size > 5000
+
+
+def found_at(scene: Scene, off_m: float) -> list[Vehicles3D]:
+    """What a network finds that is always as wrong: every camera sees all that is there, at an instant."""
+    return [
+        replace(true, boxes=true.boxes + [off_m, 0, 0, 0, 0, 0, 0], camera_id=camera_id)
+        for true in scene.truth
+        for camera_id in scene.rig
+    ]
+
+
+def test_vehicles_have_both_sides() -> None:
+    scene = crossing(offset_ns=0)
+    times = tuple(instant.time_ns for instant in scene.instants)
+    frames: Any = SimpleNamespace(frame_sets=[FrameSet(t, dict.fromkeys(scene.rig, t)) for t in times])
+    labels = LabelTimeline([LabelledInstant(true, {}) for true in scene.truth])
+    split = Split({"train": (), "val": (), "test": times}, dict.fromkeys(SUBSETS, frozenset()))
+    site = Site(1, None, None, {}, scene.rig, frames, scene.instants, [], split, labels)  # type: ignore[arg-type]
+    near, far = (consistency(site, found_at(scene, off_m)) for off_m in (0.2, 1.0))
+    assert near["other_views"]["mean"] > far["other_views"]["mean"] + 0.1
+    assert len(near["vehicles"]) > 5
+    for one in near["vehicles"]:
+        assert one["ate_m"] == pytest.approx(0.2) and 0.7 < one["bev_iou"] < 1
+        assert one["other_views"] > 0.5 and one["roughness_m"] < 0.3 and one["boxes"] >= 4
+
+
+def test_networks_of_other_benchmarks_are_compared_too() -> None:
+    sides = {"other_views": {"mean": 0.7}, "roughness_m": {"mean": 0.1}, "vehicles": []}
+    rows = [
+        {"run": {"method": "lifted"}, "bev_iou": {"mean": 0.8}, "consistency": sides},
+        {"run": {"method": "labels"}},
+    ]
+    [both] = self_consistency.both_sides(rows)
+    assert self_consistency.mean_of(both, "other_views") == 0.7 and self_consistency.mean_of(both, "bev_iou") == 0.8
 
 
 def test_recipes_place_boxes_as_jobs_do() -> None:
