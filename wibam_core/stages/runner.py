@@ -5,6 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -121,38 +122,53 @@ def run_pipeline(
     _check_device(stages, store, config, until)
     for planned in stages:
         name = planned.name
+        report = _progress_of(name, listener)
         found = store.find(name, planned.digest)
+        state = "reused"
         if found is None:
-            attempt = store.begin(name, planned.digest)
-            report = _progress_of(name, listener)
-            context = StageContext(
-                folder.site,
-                folder.recordings,
-                {k: v for k, v in folder.assets.items() if k in STAGES[name].assets_read(config)},
-                {required: folders[required] for required in STAGES[name].requires},
-                attempt.output,
-                attempt.scratch,
-                report,
-            )
-            report(0.0)
-            started = time.monotonic()
-            try:
-                summary = run_stage(name, context, config)
-                found = store.publish(attempt, summary, time.monotonic() - started)
-            except WibamError as error:
-                listener(StageUpdate(name, "failed", message=error.message))
-                raise
-            finally:
-                store.discard(attempt)
-            state = "succeeded"
-        else:
-            state = "reused"
+            with store.turn(planned.digest, partial(report, 0.0, "another process runs this stage: waiting for it")):
+                found = store.find(name, planned.digest)
+                if found is None:
+                    found = _made(folder, store, config, planned, folders, report, listener)
+                    state = "succeeded"
         manifest = store.manifest(name, planned.digest)
         folders[name], summaries[name], seconds[name] = found, manifest["summary"], manifest["seconds"]
         listener(StageUpdate(name, state, 1.0, summary=manifest["summary"], seconds=manifest["seconds"]))
         if name == until:
             break
     return PipelineResult(folders, summaries, seconds)
+
+
+def _made(
+    folder: SiteFolder,
+    store: StageStore,
+    config: PipelineConfig,
+    planned: PlannedStage,
+    folders: Mapping[str, Path],
+    report: Progress,
+    listener: Callable[[StageUpdate], None],
+) -> Path:
+    """The published folder of a stage, run on those of the stages before."""
+    name = planned.name
+    attempt = store.begin(name, planned.digest)
+    context = StageContext(
+        folder.site,
+        folder.recordings,
+        {k: v for k, v in folder.assets.items() if k in STAGES[name].assets_read(config)},
+        {required: folders[required] for required in STAGES[name].requires},
+        attempt.output,
+        attempt.scratch,
+        report,
+    )
+    report(0.0)
+    started = time.monotonic()
+    try:
+        return store.publish(attempt, run_stage(name, context, config), time.monotonic() - started)
+    except WibamError as error:
+        listener(StageUpdate(name, "failed", message=error.message))
+        raise
+    finally:
+        store.discard(attempt)
 
 
 def _check_device(stages: Sequence[PlannedStage], store: StageStore, config: PipelineConfig, until: str | None) -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import fcntl
 import hashlib
 import json
 import os
@@ -10,7 +11,7 @@ import re
 import secrets
 import shutil
 import tempfile
-from collections.abc import Callable, Collection
+from collections.abc import Callable, Collection, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -51,6 +52,24 @@ class StageStore:
         """``{"stage", "digest", "summary", "seconds", "files": {name: {"bytes", "sha256"}}}`` of a published stage."""
         manifest: dict[str, Any] = json.loads((self._folder(stage, digest) / MANIFEST).read_bytes())
         return manifest
+
+    @contextlib.contextmanager
+    def turn(self, digest: str, waiting: Callable[[], None]) -> Iterator[None]:
+        """Among processes that make the same stage: one at a time, since they share its scratch folder.
+
+        Args:
+            digest: of the stage.
+            waiting: called where another process is at it; then this waits for as long as that takes.
+        """
+        self.root.mkdir(parents=True, exist_ok=True)
+        with (self.root / ".lock").open("wb") as lock:
+            own_byte = (1, int(digest[:15], 16))  # length and place: locked, it need not be there
+            try:
+                fcntl.lockf(lock, fcntl.LOCK_EX | fcntl.LOCK_NB, *own_byte)
+            except BlockingIOError:
+                waiting()
+                fcntl.lockf(lock, fcntl.LOCK_EX, *own_byte)
+            yield
 
     def begin(self, stage: str, digest: str) -> Attempt:
         """A fresh output folder, with the scratch folder that an earlier attempt at the same stage may have left."""

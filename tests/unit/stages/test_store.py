@@ -5,10 +5,17 @@ from __future__ import annotations
 import json
 import os
 import shutil
+import subprocess
+import sys
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from pathlib import Path
 
 import pytest
 
+from tests.builders import corner_rig, site_of
+from wibam_core.config import PipelineConfig
+from wibam_core.stages import runner
 from wibam_core.stages.store import StageStore
 
 DIGEST = "0123456789abcdef" * 4
@@ -133,3 +140,62 @@ def test_addresses_are_those_of_outputs_and_scratch(tmp_path: Path) -> None:
     for address in store.addresses():
         store.remove(*address)
     assert store.addresses() == set()
+
+
+_HOLDS_ITS_TURN = """
+import sys
+import time
+from pathlib import Path
+from wibam_core.stages.store import StageStore
+
+with StageStore(Path(sys.argv[1])).turn(sys.argv[2], lambda: None):
+    print("in", flush=True)
+    sys.stdin.read()
+    time.sleep(0.3)
+    (Path(sys.argv[1]) / "left").touch()
+"""
+
+
+def test_processes_that_make_the_same_stage_take_turns(tmp_path: Path) -> None:
+    """They share its scratch folder: a second would train on images that the first had not written yet."""
+    other = "b" * 64
+    command = [sys.executable, "-c", _HOLDS_ITS_TURN, str(tmp_path), DIGEST]
+    with subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True) as process:
+        assert process.stdin is not None and process.stdout is not None
+        assert process.stdout.readline() == "in\n"
+        with StageStore(tmp_path).turn(other, lambda: pytest.fail("another stage is nobody's turn")):
+            pass
+        waited = []
+
+        def waiting() -> None:
+            waited.append(process.poll())
+            process.stdin.close()  # the other's turn ends only now
+
+        with StageStore(tmp_path).turn(DIGEST, waiting):
+            assert waited == [None] and (tmp_path / "left").exists()
+    with StageStore(tmp_path).turn(DIGEST, lambda: pytest.fail("nobody is there any more")):
+        pass
+
+
+class SlowStore(StageStore):
+    """Somebody else makes the stage while one waits for one's turn."""
+
+    @contextmanager
+    def turn(self, digest: str, waiting: Callable[[], None]) -> Iterator[None]:
+        waiting()
+        attempt = self.begin("preflight", digest)
+        self.publish(attempt, {"made": "elsewhere"}, 1.0)
+        yield
+
+
+def test_what_another_process_made_meanwhile_is_taken(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(runner, "run_stage", lambda *_: pytest.fail("it is there"))
+    rig = corner_rig()
+    for camera_id in rig:
+        (tmp_path / camera_id).write_bytes(b"video")
+    folder = runner.SiteFolder(site_of(rig), {camera_id: tmp_path / camera_id for camera_id in rig}, {})
+    told: list[runner.StageUpdate] = []
+    store = SlowStore(tmp_path / "outputs")
+    result = runner.run_pipeline(folder, store, PipelineConfig(), told.append, until="preflight")
+    assert result.summaries == {"preflight": {"made": "elsewhere"}}
+    assert [update.state for update in told] == ["running", "reused"] and "waiting" in told[0].message
