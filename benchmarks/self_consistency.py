@@ -205,7 +205,7 @@ def runs_of(arguments: argparse.Namespace) -> Iterator[Run]:
 
 def main() -> None:
     parser = site_parser(__doc__, sites=[11, 12, 21, 22], seconds=90.0)
-    parser.add_argument("--networks", nargs="+", choices=RECIPES, default=list(RECIPES))
+    parser.add_argument("--networks", nargs="*", choices=RECIPES, default=list(RECIPES), help="to be made here")
     parser.add_argument("--most-steps", type=int, default=1200, help="no network is trained for longer")
     parser.add_argument(
         "--with",
@@ -223,7 +223,8 @@ def main() -> None:
         print(
             {**one["run"], **{name: mean_of(both_sides([one])[0], name) for name in (*MEASURES, *TRUTHS)}}, flush=True
         )
-    typed = {name: getattr(arguments, name) for name in ("sites", "networks", "most_steps", *recording_of(arguments))}
+    asked = ("sites", "most_steps", *recording_of(arguments)) if arguments.networks else ()
+    typed = {name: getattr(arguments, name) for name in ("networks", *asked)}
     rows = both_sides([*made, *joined(arguments.others)])
     with_others = {"with": [path.as_posix() for path in arguments.others] or None}
     text = document(rows, command_of("self_consistency", **typed, **with_others))

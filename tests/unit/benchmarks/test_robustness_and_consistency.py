@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
@@ -11,6 +12,7 @@ import numpy as np
 import pytest
 
 from benchmarks import robustness, self_consistency
+from benchmarks.learning_rows import write_rows
 from benchmarks.learning_sites import Site, consistency
 from tests.builders import corner_rig, site_of
 from tests.multiview import Scene, crossing
@@ -198,14 +200,25 @@ def test_vehicles_have_both_sides() -> None:
         assert one["other_views"] > 0.5 and one["roughness_m"] < 0.3 and one["boxes"] >= 4
 
 
-def test_networks_of_other_benchmarks_are_compared_too() -> None:
-    sides = {"other_views": {"mean": 0.7}, "roughness_m": {"mean": 0.1}, "vehicles": []}
-    rows = [
-        {"run": {"method": "lifted"}, "bev_iou": {"mean": 0.8}, "consistency": sides},
-        {"run": {"method": "labels"}},
+def test_networks_of_other_benchmarks_are_compared_too(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    recorded = {"seconds": 90.0, "density": 1.2, "width_px": 640}
+    measured = [
+        {
+            "run": {"site": 7, "seed": 0, "method": f"lifted_{k}", **recorded},
+            **{name: {"mean": k / 10} for name in ("bev_iou", "ate_m", "bev_iou_misses_zero")},
+            "consistency": {"other_views": {"mean": 0.5 + k / 20}, "roughness_m": {"mean": 0.1}, "vehicles": []},
+        }
+        for k in (3, 5, 8)
     ]
-    [both] = self_consistency.both_sides(rows)
-    assert self_consistency.mean_of(both, "other_views") == 0.7 and self_consistency.mean_of(both, "bev_iou") == 0.8
+    others = tmp_path / "ablation.json"
+    write_rows(others, [*measured, {"run": {"site": 7, "method": "labels"}, "bev_iou": {"mean": 0.9}}])
+    monkeypatch.setattr(sys, "argv", ["x", "--networks", "--with", str(others), "--out", str(tmp_path)])
+    self_consistency.main()
+    text = (tmp_path / "self-consistency.md").read_text()
+    assert "| IoU in other views | BEV IoU | 1.00 / 1.00 (3) | 1.00 / 1.00 (1) |" in text
+    assert "| 7 | lifted_8 | 0.900 | 0.100 | 0.800 |" in text and "labels" not in text
+    assert f"    python -m benchmarks.self_consistency --networks --with {others}\n" in text
+    assert (tmp_path / "self-consistency.png").is_file()
 
 
 def test_recipes_place_boxes_as_jobs_do() -> None:
