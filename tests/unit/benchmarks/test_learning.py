@@ -6,8 +6,10 @@ import argparse
 import json
 import sys
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
+import numpy as np
 import pytest
 
 from benchmarks import data_amount, learning
@@ -16,6 +18,8 @@ from benchmarks.learning_report import by_distance, document, draw, options, rat
 from benchmarks.learning_rows import RowFile, Run, code_version, joined, mean_of, read_rows, versions, write_rows
 from wibam_core.cli.run import parse_options
 from wibam_core.config import FinetuneConfig, PipelineConfig
+from wibam_core.dataset.split import SUBSETS, Split
+from wibam_core.scene import Vehicles3D
 
 
 def arguments(**changed: Any) -> argparse.Namespace:
@@ -305,6 +309,28 @@ def amounts() -> list[dict[str, Any]]:
         for site in (1, 2)
         for share, bev in of.items()
     ]
+
+
+def test_a_share_of_the_footage_is_its_first_and_all_of_it_takes_a_jobs_network(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    times = tuple(range(0, 100, 10))
+    split = Split({"train": times, "val": (), "test": ()}, {part: frozenset({7}) for part in SUBSETS})
+    fits = [Vehicles3D.of(t, np.ones((2, 7)), np.zeros(2, int), np.array([t, 7]), np.ones(2)) for t in times]
+    site: Any = SimpleNamespace(number=11, minutes=2.0, lifts=fits, split=split, usual_decode="refined")
+    frames = {"train": [SimpleNamespace(time_ns=t) for t in times], "val": ["val"]}
+    monkeypatch.setattr(data_amount, "views", lambda _, part, lifts: frames[part])
+    monkeypatch.setattr(data_amount, "untrained", lambda _, decode: decode)
+    monkeypatch.setattr(data_amount, "finetuned_by_stage", lambda _, asked: ("job", asked))
+    monkeypatch.setattr(
+        data_amount, "finetuned_on", lambda _, train, validation, config: ([v.time_ns for v in train], validation)
+    )
+    monkeypatch.setattr(data_amount, "figures", lambda _, trained: {"trained": trained})
+    options = {"steps": 5}
+    none, half, full = (data_amount.row(site, {"share": share, "finetune": options}) for share in (0, 0.5, 1))
+    assert none == {"chosen_on": True, "minutes": 0, "vehicles": 0, "trained": "refined"}
+    assert half == {"chosen_on": True, "minutes": 1.0, "vehicles": 5, "trained": ([0, 10, 20, 30, 40], ["val"])}
+    assert full == {"chosen_on": True, "minutes": 2.0, "vehicles": 10, "trained": ("job", options)}
 
 
 def test_shares_of_the_full_gain_are_told_between_the_amounts_tried() -> None:
