@@ -1,0 +1,25 @@
+"""All exchange formats: a line each."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from types import MappingProxyType
+
+from wibam_core.errors import NotFound
+from wibam_core.exchange.base import ExchangeFormat
+
+_FORMATS: tuple[ExchangeFormat, ...] = ()
+
+#: By name.
+FORMATS: Mapping[str, ExchangeFormat] = MappingProxyType({fmt.name: fmt for fmt in _FORMATS})
+
+
+def format_of(name: str) -> ExchangeFormat:
+    """The format of a name.
+
+    Raises:
+        NotFound: there is none; the hint lists all.
+    """
+    if name not in FORMATS:
+        raise NotFound(f"there is no exchange format {name!r}", hint=f"The formats are {', '.join(FORMATS)}.")
+    return FORMATS[name]
