@@ -11,18 +11,13 @@ import hashlib
 import json
 from collections.abc import Callable, Container, Mapping
 from dataclasses import dataclass
-from functools import cache
-from pathlib import Path
 from types import MappingProxyType
 from typing import Any
 
 from wibam_core.config import FinetuneConfig, PipelineConfig, StageConfig
 from wibam_core.errors import InputError, UnknownOption
 from wibam_core.site import Site
-
-_CORE = Path(__file__).resolve().parent.parent
-#: Code that every stage depends on, relative to wibam_core/.
-_COMMON_CODE = ("errors.py", "scene.py", "site.py", "geometry", "formats", "stages/base.py")
+from wibam_core.stages.code import code_digest
 
 
 def _nothing(site: Site) -> Any:
@@ -194,7 +189,7 @@ def plan(site: Site, config: PipelineConfig, inputs: InputDigests) -> tuple[Plan
         upstream = {name: planned[name].digest for name in spec.requires}
         facts = {
             "stage": spec.name,
-            "code": code_digest(spec.name),
+            "code": code_digest(spec.name, spec.code),
             "options": spec.config(config).model_dump(),
             "site": spec.site_part(site),
             "recordings": dict(inputs.recordings) if spec.reads_recordings else None,
@@ -223,20 +218,6 @@ def require_network(config: FinetuneConfig, assets: Container[str]) -> None:
 def _digest_of(facts: Mapping[str, Any]) -> str:
     canonical = json.dumps(facts, sort_keys=True, separators=(",", ":"), allow_nan=False)
     return hashlib.sha256(canonical.encode()).hexdigest()
-
-
-@cache
-def code_digest(stage: str) -> str:
-    """SHA-256 of the source and bundled data that a stage's outputs depend on."""
-    digest = hashlib.sha256()
-    for part in sorted({*_COMMON_CODE, f"stages/{stage}.py", *STAGES[stage].code}):
-        root = _CORE / part
-        files = [root] if root.is_file() else sorted(root.rglob("*"))
-        for path in files:
-            if path.suffix in {".py", ".safetensors", ".onnx", ".j2"} and path.is_file():
-                digest.update(path.relative_to(_CORE).as_posix().encode())
-                digest.update(hashlib.sha256(path.read_bytes()).digest())
-    return digest.hexdigest()
 
 
 def downstream(stage: str) -> tuple[str, ...]:

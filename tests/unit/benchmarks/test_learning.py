@@ -113,9 +113,10 @@ def test_the_version_of_the_code_is_that_of_every_stage_that_makes_figures(monke
     before = code_version()
     assert before == code_version() and len(before) == 10
     for changed in ("detect", "lift", "finetune", "evaluate"):
-        monkeypatch.setattr("benchmarks.learning_rows.code_digest", lambda stage, c=changed: "x" if stage == c else "y")
+        digest = "benchmarks.learning_rows.code_digest"
+        monkeypatch.setattr(digest, lambda stage, code, c=changed: "x" if stage == c else "y")
         found = code_version()
-        monkeypatch.setattr("benchmarks.learning_rows.code_digest", lambda stage: "y")
+        monkeypatch.setattr(digest, lambda stage, code: "y")
         assert found != code_version()
 
 
