@@ -30,15 +30,8 @@ from wibam_core.formats.labels import read_labels, write_labels
 from wibam_core.formats.rig import read_rig, write_rig
 from wibam_core.geometry.iou import bev_iou_paired, image_iou, iou_3d_paired
 from wibam_core.lifting.lift import lift
-from wibam_core.scene import (
-    CLASSES,
-    AnnotatedInstant,
-    CameraRig,
-    Detections2D,
-    LabelledInstant,
-    MultiViewVehicle,
-    Vehicles3D,
-)
+from wibam_core.road_users import CLASSES
+from wibam_core.scene import AnnotatedInstant, CameraRig, Detections2D, LabelledInstant, MultiViewVehicle, Vehicles3D
 from wibam_core.synthetic.cameras import site_cameras
 from wibam_core.synthetic.layout import make_layout
 from wibam_core.synthetic.lighting import develop, sample_lighting, sample_photometry

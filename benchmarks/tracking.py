@@ -17,8 +17,9 @@ from numpy.typing import NDArray
 
 from wibam_core.config import SafetyConfig, TrackConfig
 from wibam_core.geometry.se3 import normalise_angle
+from wibam_core.road_users import CLASSES
 from wibam_core.safety.conflicts import find_conflicts
-from wibam_core.scene import CLASSES, Track, Vehicles3D
+from wibam_core.scene import Track, Vehicles3D
 from wibam_core.synthetic.layout import make_layout
 from wibam_core.synthetic.signals import SignalProgram
 from wibam_core.synthetic.traffic import Traffic, simulate_traffic

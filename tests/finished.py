@@ -11,7 +11,8 @@ import numpy as np
 from tests.service import LiveApi
 from wibam_core.adapters.job_rows import StageKey
 from wibam_core.formats.tracks import write_tracks
-from wibam_core.scene import Track, VehicleClass
+from wibam_core.road_users import RoadUserClass
+from wibam_core.scene import Track
 
 CONFLICT = {"conflict_id": 0, "track_ids": [1, 2], "classes": ["car", "bus"], "type": "crossing", "ttc_s": 1.25,
             "ttc_interval_s": [1.0, None], "pet_s": None}  # fmt: skip
@@ -27,8 +28,8 @@ def tracks() -> list[Track]:
         boxes[:, 3:6], boxes[:, 2] = size, size[2] / 2
     sd, rates = np.full((50, 7), 0.1), np.zeros(50)
     return [
-        Track(1, VehicleClass.CAR, times, moving, sd, np.tile([10.0, 0.0], (50, 1)), rates),
-        Track(2, VehicleClass.BUS, times, standing, sd, np.zeros((50, 2)), rates),
+        Track(1, RoadUserClass.CAR, times, moving, sd, np.tile([10.0, 0.0], (50, 1)), rates),
+        Track(2, RoadUserClass.BUS, times, standing, sd, np.zeros((50, 2)), rates),
     ]
 
 

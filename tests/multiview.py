@@ -1,6 +1,6 @@
 """A small traffic scene with exact geometry: bodies of parts, painted into an id image, visible boxes with jitter.
 
-It is independent of `wibam_core.bodies`: bodies consist of convex parts that differ between vehicles.
+It is independent of `wibam_core.road_users`: bodies consist of convex parts that differ between vehicles.
 """
 
 from __future__ import annotations
@@ -13,21 +13,14 @@ import numpy as np
 
 from tests.builders import corner_rig
 from wibam_core.geometry.box3d import vehicle_to_world
-from wibam_core.scene import (
-    CLASSES,
-    AnnotatedInstant,
-    CameraRig,
-    Detections2D,
-    MultiViewVehicle,
-    VehicleClass,
-    Vehicles3D,
-)
+from wibam_core.road_users import CLASSES, RoadUserClass
+from wibam_core.scene import AnnotatedInstant, CameraRig, Detections2D, MultiViewVehicle, Vehicles3D
 
 SIZES = {
-    VehicleClass.CAR: (4.4, 1.8, 1.5),
-    VehicleClass.VAN: (5.4, 2.0, 2.2),
-    VehicleClass.TRUCK: (7.8, 2.5, 3.2),
-    VehicleClass.BUS: (11.8, 2.55, 3.1),
+    RoadUserClass.CAR: (4.4, 1.8, 1.5),
+    RoadUserClass.VAN: (5.4, 2.0, 2.2),
+    RoadUserClass.TRUCK: (7.8, 2.5, 3.2),
+    RoadUserClass.BUS: (11.8, 2.55, 3.1),
 }
 
 
@@ -35,7 +28,7 @@ SIZES = {
 class Actor:
     """One vehicle: class, size, convex parts of its body in the vehicle frame (m), and a path over time."""
 
-    vehicle_class: VehicleClass
+    vehicle_class: RoadUserClass
     size: np.ndarray
     parts: tuple[np.ndarray, ...]
     path: np.ndarray  # (K, 2) polyline
@@ -57,9 +50,9 @@ class Actor:
         return np.array([*at, self.size[2] / 2, *self.size, np.arctan2(way[1], way[0])])
 
 
-def body(vehicle_class: VehicleClass, size: np.ndarray, rng: np.random.Generator) -> tuple[np.ndarray, ...]:
+def body(vehicle_class: RoadUserClass, size: np.ndarray, rng: np.random.Generator) -> tuple[np.ndarray, ...]:
     """Convex parts: a chamfered hull on wheels, and a cabin or box that narrows upwards."""
-    boxy = vehicle_class in (VehicleClass.BUS, VehicleClass.TRUCK)
+    boxy = vehicle_class in (RoadUserClass.BUS, RoadUserClass.TRUCK)
     cut = rng.uniform(0.02, 0.04) if boxy else rng.uniform(0.05, 0.09)
     low, belt = (0.14, 0.5) if boxy else (rng.uniform(0.14, 0.22), rng.uniform(0.5, 0.6))
     outline = [(0.5, 0.5 - 2.5 * cut), (0.5 - cut, 0.5), (-0.5 + cut, 0.5), (-0.5, 0.5 - 2.5 * cut)]
@@ -67,17 +60,17 @@ def body(vehicle_class: VehicleClass, size: np.ndarray, rng: np.random.Generator
     wheels = [
         (x + dx, s * 0.48, z) for x in (0.3, -0.3) for s in (1, -1) for dx, z in ((-0.05, 0.02), (0, 0.0), (0.05, 0.02))
     ]
-    if vehicle_class is VehicleClass.CAR:
+    if vehicle_class is RoadUserClass.CAR:
         front, rear, side = rng.uniform(0.05, 0.15), -rng.uniform(0.25, 0.42), rng.uniform(0.34, 0.4)
         cabin = [(front + 0.2, 0.45, belt), (rear - 0.07, 0.45, belt), (front, side, 1.0), (rear, side, 1.0)]
-    elif vehicle_class is VehicleClass.VAN:
+    elif vehicle_class is RoadUserClass.VAN:
         cabin = [(0.46, 0.47, belt), (-0.5, 0.48, belt), (rng.uniform(0.2, 0.3), 0.43, 1.0), (-0.48, 0.43, 1.0)]
-    elif vehicle_class is VehicleClass.TRUCK:
+    elif vehicle_class is RoadUserClass.TRUCK:
         cabin = [(0.22, 0.5, belt), (-0.5, 0.5, belt), (0.22, 0.5, 1.0), (-0.5, 0.5, 1.0)]
     else:
         cabin = [(0.5, 0.49, belt), (-0.5, 0.49, belt), (0.48, 0.45, 1.0), (-0.49, 0.45, 1.0)]
     parts = [hull, [*hull[:2], *wheels], [(x, s * y, z) for x, y, z in cabin for s in (1, -1)]]
-    if vehicle_class is VehicleClass.TRUCK:
+    if vehicle_class is RoadUserClass.TRUCK:
         parts.append(
             [(x, s * 0.46, z) for x, z in ((0.5, belt), (0.26, belt), (0.47, 0.72), (0.26, 0.75)) for s in (1, -1)]
         )

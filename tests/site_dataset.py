@@ -10,14 +10,8 @@ import numpy as np
 from tests.builders import look_at
 from wibam_core.formats.framestore import FrameStore, FrameStoreWriter
 from wibam_core.geometry.box3d import corners
-from wibam_core.scene import (
-    AnnotatedInstant,
-    CameraRig,
-    Detections2D,
-    MultiViewVehicle,
-    VehicleClass,
-    Vehicles3D,
-)
+from wibam_core.road_users import RoadUserClass
+from wibam_core.scene import AnnotatedInstant, CameraRig, Detections2D, MultiViewVehicle, Vehicles3D
 
 PERIOD_NS = 400_000_000
 LATENESS_NS = {"north": 0, "east": 20_000_000, "south": -10_000_000}
@@ -63,7 +57,7 @@ def tiny_site(folder: Path, instants: int = 4) -> TinySite:
                 )
             vehicles = tuple(
                 MultiViewVehicle(number, number + 7, kind, 0.0, 0.0, dict.fromkeys(rig, number))
-                for number, kind in enumerate((VehicleClass.CAR, VehicleClass.VAN))
+                for number, kind in enumerate((RoadUserClass.CAR, RoadUserClass.VAN))
             )
             annotated.append(AnnotatedInstant(time_ns, detections, vehicles))
             sd = np.full((2, 7), 0.1)

@@ -8,7 +8,6 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field, replace
-from enum import StrEnum
 from types import MappingProxyType
 
 import numpy as np
@@ -16,26 +15,10 @@ from numpy.typing import NDArray
 
 from wibam_core.geometry.box3d import Box3D
 from wibam_core.geometry.camera import Camera
+from wibam_core.road_users import CLASSES, RoadUserClass
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
-
-
-class VehicleClass(StrEnum):
-    """Road users that the system knows. The order is the networks' class order; append, never insert."""
-
-    CAR = "car"
-    VAN = "van"
-    TRUCK = "truck"
-    BUS = "bus"
-
-    @property
-    def number(self) -> int:
-        """Place in `CLASSES`, the networks' class index."""
-        return CLASSES.index(self)
-
-
-CLASSES: tuple[VehicleClass, ...] = tuple(VehicleClass)
 
 
 @dataclass(frozen=True, eq=False)
@@ -72,7 +55,7 @@ class Detections2D:
         frame_time_ns: when the frame was exposed, reference clock. Differs from the instant it belongs to by up
             to half a frame interval.
         boxes: (N, 4) xyxy, px, around what is seen of each vehicle. scores: (N,) in [0, 1].
-        classes: (N,) indices into `CLASSES`.
+        classes: (N,) indices into `wibam_core.road_users.CLASSES`.
         amodal_boxes: (N, 4) xyxy, px, around the whole vehicle within the image, what is hidden included, where known.
         amodal_sd: (N, 4) standard deviations of their edges, px. Both are NaN, or not given, where unknown.
     """
@@ -152,7 +135,7 @@ class MultiViewVehicle:
 
     obj_id: int
     track_id: int
-    vehicle_class: VehicleClass
+    vehicle_class: RoadUserClass
     x_m: float
     y_m: float
     views: Mapping[str, int]
@@ -174,7 +157,7 @@ class Vehicles3D:
     Attributes:
         time_ns: the instant.
         boxes: (N, 7), see `wibam_core.geometry.box3d`.
-        classes: (N,) indices into `CLASSES`. ids: (N,) vehicle ids, −1 where unknown.
+        classes: (N,) indices into `wibam_core.road_users.CLASSES`. ids: (N,) vehicle ids, −1 where unknown.
         scores: (N,) confidence in [0, 1]; 1 for truth and labels.
         sd: (N, 7) standard deviations in the units of the boxes; NaN where unknown.
         camera_id: the detecting camera of monocular output, None in the world.
@@ -281,7 +264,7 @@ class Track:
     """
 
     track_id: int
-    vehicle_class: VehicleClass
+    vehicle_class: RoadUserClass
     times_ns: IntArray
     boxes: FloatArray
     sd: FloatArray

@@ -30,7 +30,7 @@ from wibam_core.adapters.track_query import (
     query_tracks,
 )
 from wibam_core.jobs.records import Job
-from wibam_core.scene import VehicleClass
+from wibam_core.road_users import RoadUserClass
 
 router = APIRouter(prefix="/v1/jobs/{job_id}", tags=["results"], responses=documented(401, 404, 409))
 public_router = APIRouter(tags=["results"])
@@ -92,7 +92,7 @@ def tracks(
         str | None, Query(description="`x_min,y_min,x_max,y_max` in m", examples=["-10,-10,10,10"])
     ] = None,
     polygon: Annotated[str | None, Query(description="corners `x1,y1;x2,y2;...` in m", max_length=4000)] = None,
-    vehicle_class: Annotated[list[VehicleClass] | None, Query(alias="class", description="any of these")] = None,
+    vehicle_class: Annotated[list[RoadUserClass] | None, Query(alias="class", description="any of these")] = None,
     track_id: Annotated[list[Int64] | None, Query(description="any of these", max_length=1000)] = None,
     min_speed_mps: Annotated[float | None, Query(ge=0, allow_inf_nan=False)] = None,
     limit: Annotated[int | None, Query(ge=1, le=100_000)] = None,

@@ -13,7 +13,7 @@ import duckdb
 import pyarrow as pa
 
 from wibam_core.errors import InputError
-from wibam_core.scene import VehicleClass
+from wibam_core.road_users import RoadUserClass
 
 _MOST_CORNERS = 100
 _BATCH_ROWS = 20_000
@@ -38,7 +38,7 @@ class TrackQuery:
     end_ns: int | None = None
     bounds: tuple[float, float, float, float] | None = None
     polygon: tuple[Point, ...] = ()
-    classes: tuple[VehicleClass, ...] = ()
+    classes: tuple[RoadUserClass, ...] = ()
     track_ids: tuple[int, ...] = ()
     min_speed_mps: float | None = None
     after: tuple[int, int] | None = None

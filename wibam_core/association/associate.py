@@ -21,14 +21,8 @@ from wibam_core.association.tracklets import tracklets
 from wibam_core.config import AssociateConfig
 from wibam_core.errors import NoMultiViewVehicles, NoVehicles
 from wibam_core.progress import Progress, part, silent
-from wibam_core.scene import (
-    CLASSES,
-    AnnotatedInstant,
-    CameraRig,
-    FloatArray,
-    IntArray,
-    MultiViewVehicle,
-)
+from wibam_core.road_users import CLASSES
+from wibam_core.scene import AnnotatedInstant, CameraRig, FloatArray, IntArray, MultiViewVehicle
 
 
 @dataclass(frozen=True, eq=False)

@@ -7,22 +7,14 @@ from numpy.typing import NDArray
 
 from wibam_core.geometry.camera import Camera
 from wibam_core.geometry.ground import intersect_plane
-from wibam_core.scene import CLASSES, CameraRig, Detections2D, FloatArray, VehicleClass
+from wibam_core.road_users import CLASSES
+from wibam_core.scene import CameraRig, Detections2D, FloatArray
 
-#: Height of the plane that the ray is met with, m: a little below the middle of a usual vehicle of the class.
-PLANE_HEIGHT_M: dict[VehicleClass, float] = {
-    VehicleClass.CAR: 0.67,
-    VehicleClass.VAN: 0.97,
-    VehicleClass.TRUCK: 1.4,
-    VehicleClass.BUS: 1.36,
-}
-_PLANE_HEIGHTS_M: FloatArray = np.array([PLANE_HEIGHT_M[c] for c in CLASSES])
-
+#: (classes,) in the order of `CLASSES`: height of the plane that the ray is met with, m.
+_PLANE_HEIGHTS_M: FloatArray = np.array([c.traits.plane_height_m for c in CLASSES])
 #: How far a ground point of a usual car near the camera lies off, m: perspective, taper and jitter together.
 POINT_SD_M = 0.5
-#: Long vehicles are often half hidden or cut by the border, and their middle then lies metres off.
-_CLASS_SCALE = {VehicleClass.CAR: 1.0, VehicleClass.VAN: 1.0, VehicleClass.TRUCK: 1.3, VehicleClass.BUS: 1.6}
-_CLASS_SCALES: FloatArray = np.array([_CLASS_SCALE[c] for c in CLASSES])
+_PLACE_SCALES: FloatArray = np.array([c.traits.place_scale for c in CLASSES])
 # What a flat ray turns into metres along the ground: error of the row, and of the plane's height as a share of it.
 _ROW_SD_PX = 1.0
 _ROW_SD_SHARE = 0.03
@@ -56,7 +48,7 @@ def ground_covariances(camera: Camera, detections: Detections2D, points: FloatAr
     row_px = np.hypot(_ROW_SD_PX, _ROW_SD_SHARE * (boxes[:, 3] - boxes[:, 1]))
     by_row = (distance**2 + above**2) / above * row_px / camera.K[1, 1]
     by_height = distance / above * _HEIGHT_SD_SHARE * plane
-    base = POINT_SD_M * _CLASS_SCALES[detections.classes]
+    base = POINT_SD_M * _PLACE_SCALES[detections.classes]
     along = np.minimum(np.sqrt(base**2 + by_row**2 + by_height**2), np.maximum(_LARGEST_SD_M, base))
     direction = offset / distance[:, None]
     outer = direction[:, :, None] * direction[:, None, :]

@@ -11,7 +11,7 @@ from rich.console import Console
 from rich.markup import escape
 
 from wibam_core.cli.service import DEFAULT_URL, Token, Url, connect
-from wibam_core.scene import VehicleClass
+from wibam_core.road_users import RoadUserClass
 
 
 class TrackFormat(StrEnum):
@@ -32,7 +32,7 @@ def tracks(
     end: Annotated[float | None, typer.Option(help="Up to this second of the reference clock.")] = None,
     bounds: Annotated[str | None, typer.Option(help="x_min,y_min,x_max,y_max in m.")] = None,
     polygon: Annotated[str | None, typer.Option(help="Corners x1,y1;x2,y2;... in m.")] = None,
-    vehicle_class: Annotated[list[VehicleClass] | None, typer.Option("--class", help="Of these classes.")] = None,
+    vehicle_class: Annotated[list[RoadUserClass] | None, typer.Option("--class", help="Of these classes.")] = None,
     track: Annotated[list[int] | None, typer.Option(help="These tracks.")] = None,
     min_speed: Annotated[float | None, typer.Option(help="At least this fast, in m/s.")] = None,
 ) -> None:

@@ -9,7 +9,8 @@ from typing import Any
 import numpy as np
 
 from wibam_core.dataset.split import SUBSETS, Split
-from wibam_core.scene import CLASSES, AnnotatedInstant, CameraRig, FloatArray, MultiViewVehicle
+from wibam_core.road_users import CLASSES
+from wibam_core.scene import AnnotatedInstant, CameraRig, FloatArray, MultiViewVehicle
 
 #: Height at which a vehicle is looked at, m.
 _MIDDLE_M = 0.75

@@ -23,7 +23,7 @@ class Found(NamedTuple):
     Attributes:
         boxes: (N, 4) xyxy, px of the image given; (0, 0) is the centre of its first pixel.
         scores: (N,) in [0, 1].
-        classes: (N,) indices into `wibam_core.scene.CLASSES`.
+        classes: (N,) indices into `wibam_core.road_users.CLASSES`.
     """
 
     boxes: FloatArray

@@ -10,7 +10,7 @@ import onnxruntime
 
 from wibam_core.detection.boxes import Found, Image, IntArray, select
 from wibam_core.errors import InvalidWeights
-from wibam_core.scene import CLASSES
+from wibam_core.road_users import CLASSES
 
 #: What the file's metadata calls this kind of network.
 FAMILY = "wibam-centre"

@@ -8,18 +8,19 @@ import onnxruntime
 from numpy.typing import NDArray
 
 from wibam_core.detection.boxes import FloatArray, Found, Image, select
-from wibam_core.scene import VehicleClass
+from wibam_core.road_users import CLASSES
 
 STRIDES = (8, 16, 32)
 _COCO_CLASSES = 80
-#: COCO's index of each vehicle that we know. COCO has no vans: they come as cars or trucks.
-_VEHICLES = {2: VehicleClass.CAR, 5: VehicleClass.BUS, 7: VehicleClass.TRUCK}
-_VEHICLE_INDICES = np.array(list(_VEHICLES))
-_CLASS_NUMBERS = np.array([vehicle.number for vehicle in _VEHICLES.values()], dtype=np.int64)
+#: What moves, by COCO's index: the first of its 80 names.
+_COCO_NAMES = ("person", "bicycle", "car", "motorcycle", "airplane", "bus", "train", "truck", "boat")
+#: COCO's index and our class of each road user that both know. COCO has no vans: they come as cars or trucks.
+_KNOWN = sorted((_COCO_NAMES.index(name), c.number) for c in CLASSES for name in c.traits.elsewhere.coco.read)
+_KNOWN_INDICES, _CLASS_NUMBERS = np.array(_KNOWN, dtype=np.int64).T
 #: Aeroplanes and boats do not drive on roads: seen from above, a vehicle is often taken for one. They count as
 #: vehicles, of whichever of our classes comes next.
-_TAKEN_FOR = np.array([4, 8])
-_COUNTED = np.concatenate([_VEHICLE_INDICES, _TAKEN_FOR])
+_TAKEN_FOR = np.array([_COCO_NAMES.index("airplane"), _COCO_NAMES.index("boat")])
+_COUNTED = np.concatenate([_KNOWN_INDICES, _TAKEN_FOR])
 _PADDING = 114
 #: Largest exponent of a side: e^12 px is wider than any image, and nothing overflows.
 _MAX_LOG_SIDE = 12.0
@@ -63,7 +64,7 @@ class YoloxDetector:
         probabilities = np.clip(raw[:, 5:], 0.0, 1.0)
         # classes are independent sigmoids: a vehicle is what is at least one of them
         score = np.clip(raw[:, 4], 0.0, 1.0) * (1.0 - (1.0 - probabilities[:, _COUNTED]).prod(axis=1))
-        numbers = _CLASS_NUMBERS[probabilities[:, _VEHICLE_INDICES].argmax(axis=1)]
+        numbers = _CLASS_NUMBERS[probabilities[:, _KNOWN_INDICES].argmax(axis=1)]
         good = np.flatnonzero(score >= self._min_score)
         boxes = self._decode(raw, good) / scale
         # COCO's pixels begin where ours have their half: its (0, 0) is the corner of the first pixel

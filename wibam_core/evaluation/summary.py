@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from wibam_core.evaluation.evaluate import Evaluation
 from wibam_core.evaluation.metrics import METRICS
-from wibam_core.scene import CLASSES
+from wibam_core.road_users import CLASSES
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]

@@ -14,7 +14,8 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 
-from wibam_core.scene import CLASSES, AnnotatedInstant, Detections2D, MultiViewVehicle
+from wibam_core.road_users import CLASSES
+from wibam_core.scene import AnnotatedInstant, Detections2D, MultiViewVehicle
 
 _BOX = ("x0_px", "y0_px", "x1_px", "y1_px")
 _AMODAL_BOX = ("amodal_x0_px", "amodal_y0_px", "amodal_x1_px", "amodal_y1_px")

@@ -18,7 +18,8 @@ import pyarrow as pa
 from wibam_core.errors import InvalidLabels
 from wibam_core.formats import tables
 from wibam_core.geometry.box3d import BOX_FIELDS
-from wibam_core.scene import CLASSES, LabelledInstant, Vehicles3D
+from wibam_core.road_users import CLASSES
+from wibam_core.scene import LabelledInstant, Vehicles3D
 
 #: ``vehicle_id`` is the same for one vehicle over time, or absent. ``visibility``: camera id -> share of the
 #: silhouette that the camera sees, in [0, 1]; a camera that is not named does not see the vehicle.

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from wibam_core.errors import InputError
 from wibam_core.geometry.box3d import BOX_FIELDS
-from wibam_core.scene import CLASSES
+from wibam_core.road_users import CLASSES
 
 Array = NDArray[np.float64]
 

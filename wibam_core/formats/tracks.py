@@ -12,7 +12,8 @@ import pyarrow as pa
 from wibam_core.errors import InputError
 from wibam_core.formats import tables
 from wibam_core.geometry.box3d import BOX_FIELDS
-from wibam_core.scene import CLASSES, Track
+from wibam_core.road_users import CLASSES
+from wibam_core.scene import Track
 
 _MOTION = ("vx_mps", "vy_mps", "yaw_rate_radps")
 

@@ -11,7 +11,6 @@ import numpy as np
 import torch
 
 from wibam_core.association.rays import rig_centre
-from wibam_core.bodies import TEMPLATES
 from wibam_core.config import LiftConfig
 from wibam_core.geometry.camera import Camera
 from wibam_core.geometry.se3 import SE3, normalise_angle
@@ -23,10 +22,10 @@ from wibam_core.lifting.noise import noise_of, persistence
 from wibam_core.lifting.observations import Observations, observe
 from wibam_core.lifting.orientation import standing_headings
 from wibam_core.lifting.shapes import Shapes, learn_shapes
-from wibam_core.lifting.size_priors import LOG_SIZE_MEAN, LOG_SIZE_SD
 from wibam_core.lifting.sizes import size_information, track_sizes
 from wibam_core.lifting.trajectory import Motion, Tracks, smooth
 from wibam_core.progress import Progress, silent
+from wibam_core.road_users import BODIES, LOG_SIZE_MEAN, LOG_SIZE_SD
 from wibam_core.scene import AnnotatedInstant, CameraRig, FloatArray, Vehicles3D
 
 #: Of a cluster of rays, and of a single ray, m.
@@ -111,7 +110,7 @@ def lift(
     prior_mean, prior_sd = LOG_SIZE_MEAN[seen.classes], LOG_SIZE_SD[seen.classes]
 
     progress(0.1, f"fitting {len(seen)} vehicles one by one")
-    problem = _problem(seen, cameras, tracks, motion, prior_mean, prior_sd, yaw, 2 * yaw_sd, TEMPLATES)
+    problem = _problem(seen, cameras, tracks, motion, prior_mean, prior_sd, yaw, 2 * yaw_sd, BODIES)
     known = np.isfinite(yaw_sd)
     noise = _estimate_noise(problem, known, views, config.iterations)
     problem = with_noise(problem, noise)

@@ -14,7 +14,6 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from wibam_core.bodies import TEMPLATES
 from wibam_core.lifting.fit import (
     LOG_HEIGHT,
     LOG_LENGTH,
@@ -28,9 +27,9 @@ from wibam_core.lifting.fit import (
     predicted_edges,
     with_bodies,
 )
-from wibam_core.lifting.size_priors import LOG_SIZE_MEAN, LOG_SIZE_SD
 from wibam_core.lifting.trajectory import Tracks
-from wibam_core.scene import CLASSES, FloatArray, IntArray
+from wibam_core.road_users import BODIES, CLASSES, LOG_SIZE_MEAN, LOG_SIZE_SD
+from wibam_core.scene import FloatArray, IntArray
 
 #: What a mode of 1 changes: the roof's length, its place along the vehicle (forwards), its width, how much narrower the
 #: ends and shorter the sides of the body are than its extent, and the height of the body's upper edge.
@@ -73,7 +72,7 @@ def _modes(template: FloatArray) -> FloatArray:
 
 
 #: (classes, K, P, 3) in the order of `CLASSES` and `MODES`.
-DEFORMATIONS: FloatArray = np.array([_modes(template) for template in TEMPLATES])
+DEFORMATIONS: FloatArray = np.array([_modes(template) for template in BODIES])
 DEFORMATIONS.setflags(write=False)
 
 
@@ -97,7 +96,7 @@ class Shapes:
     tracks: IntArray
 
     @classmethod
-    def unlearned(cls, templates: FloatArray = TEMPLATES) -> Shapes:
+    def unlearned(cls, templates: FloatArray = BODIES) -> Shapes:
         """The templates as they are."""
         c = len(templates)
         return cls(templates, np.zeros((c, len(MODES))), np.tile(MODE_SD, (c, 1)), np.zeros(c, dtype=np.int64))
@@ -134,7 +133,7 @@ def learn_shapes(
     tracks: Tracks,
     usable: np.ndarray,
     iterations: int,
-    templates: FloatArray = TEMPLATES,
+    templates: FloatArray = BODIES,
 ) -> Shapes:
     """Estimate the modes of every class that has enough tracks.
 

@@ -24,7 +24,8 @@ from wibam_core.geometry.torch_ops import CameraTensors, intersect_plane, rays
 from wibam_core.models.decode import Decode, azimuths_rad, find_peaks, focal_px, wrap_angle
 from wibam_core.models.dla34 import DLA34, STRIDE
 from wibam_core.models.inference import Frame, distinct
-from wibam_core.scene import VehicleClass, Vehicles3D
+from wibam_core.road_users import RoadUserClass
+from wibam_core.scene import Vehicles3D
 
 Array = NDArray[np.float64]
 
@@ -44,12 +45,12 @@ NUSCENES_CLASSES = (
 
 #: Which of them are vehicles here. Vans count as cars there. A trailer is a box of its own behind its truck's: taken as
 #: a vehicle it would follow its truck without a gap, and be in conflict with it all the time.
-VEHICLES: Mapping[str, VehicleClass] = MappingProxyType(
+VEHICLES: Mapping[str, RoadUserClass] = MappingProxyType(
     {
-        "car": VehicleClass.CAR,
-        "truck": VehicleClass.TRUCK,
-        "bus": VehicleClass.BUS,
-        "construction_vehicle": VehicleClass.TRUCK,
+        "car": RoadUserClass.CAR,
+        "truck": RoadUserClass.TRUCK,
+        "bus": RoadUserClass.BUS,
+        "construction_vehicle": RoadUserClass.TRUCK,
     }
 )
 
@@ -215,7 +216,7 @@ class Decoded:
     Attributes:
         boxes: (N, 7) in the world.
         boxes2d: (N, 4) xyxy, px of the image.
-        classes: (N,) indices into `wibam_core.scene.CLASSES`. scores: (N,).
+        classes: (N,) indices into `wibam_core.road_users.CLASSES`. scores: (N,).
     """
 
     boxes: Array

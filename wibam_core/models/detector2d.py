@@ -10,7 +10,7 @@ from torch import Tensor, nn
 from torch.nn import functional
 
 from wibam_core.models.trunk import Trunk, TrunkShape, conv_block
-from wibam_core.scene import CLASSES
+from wibam_core.road_users import CLASSES
 
 DETECTOR_SHAPE = TrunkShape(channels=(16, 16, 32, 64, 128), blocks=(0, 1, 1, 1), neck=32, refine=True)
 

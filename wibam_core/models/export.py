@@ -18,7 +18,7 @@ from wibam_core.models.refiner2d import Refiner2D, RefinerOutputs
 from wibam_core.models.small import REFERENCE_FOCAL_PX, UNCERTAINTY_GROUPS, SmallNetwork, SmallOutputs
 from wibam_core.models.trunk import INPUT_MULTIPLE, STRIDE
 from wibam_core.models.usage import Usage, input_width_metadata
-from wibam_core.scene import CLASSES
+from wibam_core.road_users import CLASSES
 
 #: The small network's outputs in a file, named as the fields of `SmallOutputs`, and how many channels each has.
 SMALL_CHANNELS = MappingProxyType(

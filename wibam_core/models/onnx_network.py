@@ -14,7 +14,7 @@ from wibam_core.errors import InvalidWeights
 from wibam_core.models.export import SMALL_CHANNELS, small_metadata, small_onnx
 from wibam_core.models.small import SmallNetwork, SmallOutputs
 from wibam_core.models.usage import SMALL_DECODES, Usage, read_input_width
-from wibam_core.scene import CLASSES
+from wibam_core.road_users import CLASSES
 
 _EXPECTED = "Give the ONNX file of a fine-tuned model as it was exported, or its safetensors file."
 

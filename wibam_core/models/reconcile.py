@@ -11,7 +11,6 @@ from __future__ import annotations
 import torch
 from torch import Tensor
 
-from wibam_core.bodies import TEMPLATES
 from wibam_core.geometry.torch_ops import CameraTensors, project, vehicle_to_world
 from wibam_core.models.decode import (
     PeakValues,
@@ -25,6 +24,7 @@ from wibam_core.models.decode import (
 from wibam_core.models.second_look import Edges
 from wibam_core.models.small import REFERENCE_FOCAL_PX, UNCERTAINTY_GROUPS
 from wibam_core.models.trunk import STRIDE
+from wibam_core.road_users import BODIES
 
 #: Standard deviation of an edge of the regressed 2D box about the body's: px, and share of the box's side.
 _EDGE_SD_PX, _EDGE_SD_SHARE = 0.7, 0.03
@@ -100,7 +100,7 @@ class _Problem:
 
     def __init__(self, values: PeakValues, boxes: Tensor, cameras: CameraTensors, edges: Edges | None) -> None:
         self._seen_by = cameras[values.image]
-        self._bodies = torch.tensor(TEMPLATES)[values.classes]
+        self._bodies = torch.tensor(BODIES)[values.classes]
         outline, depths = self._outline(boxes[:, None])
         self.yaw_trust = _YAW_TRUST if edges is None else _YAW_TRUST_BESIDE_EDGES
         if edges is None:

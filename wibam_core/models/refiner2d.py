@@ -13,7 +13,7 @@ from torch import Tensor, nn
 from torch.nn import functional
 
 from wibam_core.models.trunk import ResidualBlock, conv_block
-from wibam_core.scene import CLASSES
+from wibam_core.road_users import CLASSES
 
 _INPUTS = 7
 _CHANNELS = (16, 32, 64, 96)

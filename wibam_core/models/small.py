@@ -16,7 +16,7 @@ import torch
 from torch import Tensor, nn
 
 from wibam_core.models.trunk import STRIDE, Trunk, TrunkShape, conv_block
-from wibam_core.scene import CLASSES
+from wibam_core.road_users import CLASSES
 
 #: Width of the images that the network sees unless it is told otherwise, px.
 INPUT_WIDTH_PX = 640

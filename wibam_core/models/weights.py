@@ -18,7 +18,7 @@ from wibam_core.models.centertrack import NUSCENES_CLASSES
 from wibam_core.models.dla34 import DLA34
 from wibam_core.models.small import SmallNetwork
 from wibam_core.models.usage import DLA34_DECODES, SMALL_DECODES, Usage, input_width_metadata, read_input_width
-from wibam_core.scene import CLASSES
+from wibam_core.road_users import CLASSES
 
 _FAMILY = "wibam-small"
 _VERSION = "1"

@@ -19,7 +19,6 @@ from wibam_core.geometry.ground import intersect_plane
 from wibam_core.report.mosaic import Extent
 from wibam_core.report.style import (
     BASELINE,
-    CLASS_COLOURS,
     CONFLICT_COLOURS,
     FINETUNED,
     GRID,
@@ -31,6 +30,7 @@ from wibam_core.report.style import (
     plain,
     tidy,
 )
+from wibam_core.road_users import CLASSES
 from wibam_core.scene import CameraRig, Track
 
 Array = NDArray[np.float64]
@@ -109,13 +109,13 @@ def tracks_figure(
     for axes, title in ((left, "by class"), (right, "by speed")):
         _prepare(axes, ground, title)
         _draw_rig(axes, rig, ground.extent)
-    for vehicle_class, colour in CLASS_COLOURS.items():
+    for vehicle_class in CLASSES:
         lines = [track.boxes[:, :2] for track in tracks if track.vehicle_class == vehicle_class and len(track) > 1]
-        left.add_collection(LineCollection(lines, colors=colour, linewidths=1.1, alpha=0.75))
+        left.add_collection(LineCollection(lines, colors=vehicle_class.traits.colour, linewidths=1.1, alpha=0.75))
     _mark_conflicts(left, conflicts)
     _draw_speeds(figure, right, tracks)
-    present = [c for c in CLASS_COLOURS if any(track.vehicle_class == c for track in tracks)]
-    handles = [Line2D([], [], color=CLASS_COLOURS[c], linewidth=2, label=c.value) for c in present]
+    present = [c for c in CLASSES if any(track.vehicle_class == c for track in tracks)]
+    handles = [Line2D([], [], color=c.traits.colour, linewidth=2, label=c.value) for c in present]
     _legend(figure, handles + _conflict_handles(conflicts))
     return figure
 

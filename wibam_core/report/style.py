@@ -7,8 +7,6 @@ from typing import Literal
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from wibam_core.scene import VehicleClass
-
 INK = "#1d2733"
 MUTED = "#6b7785"
 GRID = "#dfe4ea"
@@ -18,12 +16,6 @@ BASELINE = "#e8590c"
 FINETUNED = "#1e88e5"
 TRUTH = "#2b9348"
 
-CLASS_COLOURS: dict[VehicleClass, str] = {
-    VehicleClass.CAR: "#0072b2",
-    VehicleClass.VAN: "#e69f00",
-    VehicleClass.TRUCK: "#009e73",
-    VehicleClass.BUS: "#cc79a7",
-}
 CAMERA_COLOURS: tuple[str, ...] = (
     "#0072b2",
     "#d55e00",

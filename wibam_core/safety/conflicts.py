@@ -24,13 +24,14 @@ from wibam_core.config import SafetyConfig
 from wibam_core.geometry.iou import bev_iou_paired
 from wibam_core.geometry.se3 import normalise_angle
 from wibam_core.progress import Progress, silent
+from wibam_core.road_users import RoadUserClass
 from wibam_core.safety.drac import deceleration_to_avoid
 from wibam_core.safety.pairs import PairInstants, pair_instants
 from wibam_core.safety.pet import Encroachment, post_encroachment
 from wibam_core.safety.ttc import time_to_collision
 from wibam_core.safety.turning import TurningStates, collide_turning
 from wibam_core.safety.uncertainty import Interval, pet_interval, ttc_draws
-from wibam_core.scene import Track, VehicleClass
+from wibam_core.scene import Track
 
 Array = NDArray[np.float64]
 
@@ -74,7 +75,7 @@ class Conflict:
     """
 
     track_ids: tuple[int, int]
-    classes: tuple[VehicleClass, VehicleClass]
+    classes: tuple[RoadUserClass, RoadUserClass]
     kind: ConflictType
     time_ns: int
     x_m: float

@@ -8,7 +8,7 @@ from pathlib import Path
 
 _CORE = Path(__file__).resolve().parent.parent
 #: Code that every stage depends on, relative to wibam_core/.
-_COMMON_CODE = ("errors.py", "scene.py", "site.py", "geometry", "formats", "stages/base.py")
+_COMMON_CODE = ("errors.py", "road_users.py", "scene.py", "site.py", "geometry", "formats", "stages/base.py")
 
 
 @cache

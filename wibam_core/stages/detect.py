@@ -13,7 +13,8 @@ from wibam_core.errors import InputError, NoVehicles
 from wibam_core.formats.annotations import write_annotations
 from wibam_core.formats.framestore import FrameStore
 from wibam_core.progress import Progress, part
-from wibam_core.scene import CLASSES, AnnotatedInstant, Detections2D, FrameSet
+from wibam_core.road_users import CLASSES
+from wibam_core.scene import AnnotatedInstant, Detections2D, FrameSet
 from wibam_core.stages.base import StageContext, Summary
 from wibam_core.stages.edges import refine_all
 

@@ -98,13 +98,12 @@ _SPECS = (
     ),
     StageSpec("associate", "Associate views and link over time", ("calibrate", "detect"), ("association",)),
     StageSpec("dataset", "Split in time", ("calibrate", "associate"), ("dataset",)),
-    StageSpec("lift", "Fit 7DoF boxes to all views", ("calibrate", "associate", "dataset"), ("lifting", "bodies.py")),
+    StageSpec("lift", "Fit 7DoF boxes to all views", ("calibrate", "associate", "dataset"), ("lifting",)),
     StageSpec(
         "finetune",
         "Fine-tune the 3D detector",
         ("calibrate", "frames", "associate", "dataset", "lift"),
         (
-            "bodies.py",
             "models",
             "training",
             "dataset/split.py",
@@ -119,14 +118,14 @@ _SPECS = (
         "evaluate",
         "Evaluate",
         ("calibrate", "frames", "associate", "dataset", "finetune"),
-        ("bodies.py", "models", "evaluation", "training/device.py"),
+        ("models", "evaluation", "training/device.py"),
         assets=("labels", "network"),
     ),
     StageSpec(
         "track",
         "Track in 7DoF",
         ("calibrate", "frames", "finetune"),
-        ("bodies.py", "models", "tracking", "evaluation/uncertainty.py", "training/device.py"),
+        ("models", "tracking", "evaluation/uncertainty.py", "training/device.py"),
     ),
     StageSpec("safety", "Find conflicts", ("track",), ("safety",)),
     StageSpec(

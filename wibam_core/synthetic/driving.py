@@ -11,7 +11,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from wibam_core.scene import VehicleClass
+from wibam_core.road_users import RoadUserClass
 from wibam_core.synthetic.routes import Route
 from wibam_core.synthetic.vehicles import VehicleModel
 
@@ -72,7 +72,7 @@ def time_to_cover(distance_m: float, speed_mps: float) -> float:
 
 
 def _top_acceleration(driver: Driver) -> float:
-    return 1.8 if driver.model.vehicle_class in (VehicleClass.CAR, VehicleClass.VAN) else 1.2
+    return 1.8 if driver.model.vehicle_class in (RoadUserClass.CAR, RoadUserClass.VAN) else 1.2
 
 
 def free_acceleration(driver: Driver, limit_mps: float) -> float:

@@ -10,7 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from wibam_core.geometry.camera import Camera
-from wibam_core.scene import VehicleClass, Vehicles3D
+from wibam_core.road_users import RoadUserClass
+from wibam_core.scene import Vehicles3D
 from wibam_core.synthetic.cameras import ego_camera, elevated_camera, site_cameras
 from wibam_core.synthetic.layout import PARKING_M, PHASES, Layout, make_layout
 from wibam_core.synthetic.lighting import develop, sample_lighting, sample_photometry
@@ -25,7 +26,7 @@ Regime = Literal["ego", "site", "elevated"]
 #: Views that share one moment (traffic and light) of an intersection.
 VIEWS_PER_MOMENT = 10
 #: Large vehicles are more frequent than in ordinary traffic, so that networks see enough of them.
-TRAINING_MIX = {VehicleClass.CAR: 0.64, VehicleClass.VAN: 0.15, VehicleClass.TRUCK: 0.12, VehicleClass.BUS: 0.09}
+TRAINING_MIX = {RoadUserClass.CAR: 0.64, RoadUserClass.VAN: 0.15, RoadUserClass.TRUCK: 0.12, RoadUserClass.BUS: 0.09}
 #: Half of the length and width of the vehicle that carries an ego camera: nothing else stands there.
 _EGO_HALF_M = (3.0, 1.3)
 
@@ -139,7 +140,7 @@ def sample_moment(
             edge = arm.in_edge_m if side > 0 else -arm.out_edge_m
             along = arm.parking_start_m + rng.uniform(2, 12)
             while along < arm.parking_start_m + 45:
-                model = sample_vehicle(rng, {VehicleClass.CAR: 0.85, VehicleClass.VAN: 0.15})
+                model = sample_vehicle(rng, {RoadUserClass.CAR: 0.85, RoadUserClass.VAN: 0.15})
                 x, y = arm.point(along + model.length_m / 2, side * (edge + PARKING_M / 2))
                 backwards = rng.random() < 0.15
                 yaw = arm.heading_rad + (np.pi if (side > 0) != backwards else 0.0) + rng.normal(0, 0.02)

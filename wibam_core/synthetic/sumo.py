@@ -25,7 +25,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from wibam_core.errors import MissingSumo, SumoFailed
-from wibam_core.scene import VehicleClass
+from wibam_core.road_users import RoadUserClass
 from wibam_core.synthetic.driving import STEP_S
 from wibam_core.synthetic.layout import Layout
 from wibam_core.synthetic.routes import Route, footprints_overlap
@@ -86,7 +86,7 @@ def _draw(
     routes: Sequence[Route], choices: Sequence[int], rng: np.random.Generator, vehicle_id: int, time_s: float
 ) -> Departure:
     model = sample_vehicle(rng)
-    heavy = model.vehicle_class in (VehicleClass.BUS, VehicleClass.TRUCK)
+    heavy = model.vehicle_class in (RoadUserClass.BUS, RoadUserClass.TRUCK)
     shares = np.array([(_HEAVY_SHARES if heavy else SHARES)[routes[i].movement] for i in choices])
     return Departure(
         vehicle_id=vehicle_id,

@@ -22,7 +22,7 @@ from xml.etree.ElementTree import Element, ElementTree, SubElement, indent
 import numpy as np
 from numpy.typing import NDArray
 
-from wibam_core.scene import VehicleClass
+from wibam_core.road_users import RoadUserClass
 from wibam_core.synthetic.conflicts import Zone, find_zones
 from wibam_core.synthetic.driving import EMERGENCY_MPS2, STEP_S, speed_limits
 from wibam_core.synthetic.layout import Layout
@@ -38,12 +38,6 @@ _WAIT_BEFORE_M = 0.5
 _JUNCTION = "middle"
 _RANKS = {"straight": 2, "right": 1, "left": 0}
 _DIRECTIONS = {"straight": "s", "right": "r", "left": "l"}
-_KINDS = {
-    VehicleClass.CAR: "passenger",
-    VehicleClass.VAN: "delivery",
-    VehicleClass.TRUCK: "truck",
-    VehicleClass.BUS: "bus",
-}
 
 
 @dataclass(frozen=True)
@@ -302,12 +296,12 @@ def demand(routes: Sequence[Route], departures: Iterable[Departure]) -> Element:
         SubElement(root, "route", id=f"r{i}", edges=f"{incoming_edge(route)} {outgoing_edge(route)}")
     for departure in sorted(departures, key=lambda d: (d.time_s, d.vehicle_id)):
         model = departure.model
-        heavy = model.vehicle_class in (VehicleClass.BUS, VehicleClass.TRUCK)
+        heavy = model.vehicle_class in (RoadUserClass.BUS, RoadUserClass.TRUCK)
         SubElement(
             root,
             "vType",
             id=f"t{departure.vehicle_id}",
-            vClass=_KINDS[model.vehicle_class],
+            vClass=model.vehicle_class.traits.elsewhere.sumo,
             length=_number(model.length_m),
             width=_number(model.width_m),
             height=_number(model.height_m),

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from wibam_core.scene import VehicleClass
+from wibam_core.road_users import RoadUserClass
 from wibam_core.synthetic.conflicts import Zone, find_zones
 from wibam_core.synthetic.driving import (
     EMERGENCY_MPS2,
@@ -192,12 +192,12 @@ class _Simulation:
         rng = self._rng
         model = sample_vehicle(rng)
         shares = np.array([SHARES[self._routes[r].movement] for r in routes])
-        if model.vehicle_class in (VehicleClass.BUS, VehicleClass.TRUCK):  # long vehicles avoid tight turns
+        if model.vehicle_class in (RoadUserClass.BUS, RoadUserClass.TRUCK):  # long vehicles avoid tight turns
             wide = {"straight": 1.0, "left": 0.1, "right": 1e-6}
             shares = shares * np.array([wide[self._routes[r].movement] for r in routes])
         route = int(routes[int(rng.choice(len(routes), p=shares / shares.sum()))])
         factor = float(np.clip(rng.normal(1.0, 0.12), 0.75, 1.3))
-        heavy = model.vehicle_class in (VehicleClass.BUS, VehicleClass.TRUCK)
+        heavy = model.vehicle_class in (RoadUserClass.BUS, RoadUserClass.TRUCK)
         driver = Driver(
             vehicle_id=self._next_id,
             model=model,
@@ -325,7 +325,7 @@ def _park(layout: Layout, rng: np.random.Generator, count: int, first_id: int) -
     parked: list[Trajectory] = []
     for i in chosen:
         arm, side, k = bays[i]
-        model = sample_vehicle(rng, {VehicleClass.CAR: 0.9, VehicleClass.VAN: 0.1})
+        model = sample_vehicle(rng, {RoadUserClass.CAR: 0.9, RoadUserClass.VAN: 0.1})
         edge = arm.in_edge_m if side > 0 else -arm.out_edge_m
         x, y = arm.point(arm.parking_start_m + 5 + 7.5 * k, side * (edge + PARKING_M / 2))
         yaw = arm.heading_rad + (np.pi if side > 0 else 0.0)

@@ -10,7 +10,7 @@ from functools import lru_cache
 
 import numpy as np
 
-from wibam_core.scene import VehicleClass
+from wibam_core.road_users import RoadUserClass
 from wibam_core.synthetic.mesh import (
     FRONT,
     FRONT_LEFT,
@@ -52,7 +52,7 @@ _PAINTS: tuple[tuple[Colour, float], ...] = (
 class Style:
     """One body style: ranges of length, width and height in m, and shares of the length for bonnet and boot."""
 
-    vehicle_class: VehicleClass
+    vehicle_class: RoadUserClass
     name: str
     weight: float
     length_m: tuple[float, float]
@@ -64,22 +64,22 @@ class Style:
 
 
 STYLES: tuple[Style, ...] = (
-    Style(VehicleClass.CAR, "hatchback", 0.30, (3.65, 4.35), (1.66, 1.82), (1.42, 1.56), 0.24, 0.02, 0.60),
-    Style(VehicleClass.CAR, "saloon", 0.28, (4.40, 4.95), (1.76, 1.90), (1.40, 1.50), 0.26, 0.15, 0.62),
-    Style(VehicleClass.CAR, "estate", 0.12, (4.45, 4.95), (1.76, 1.88), (1.44, 1.54), 0.26, 0.02, 0.61),
-    Style(VehicleClass.CAR, "suv", 0.24, (4.25, 4.95), (1.80, 1.98), (1.60, 1.80), 0.25, 0.02, 0.60),
-    Style(VehicleClass.CAR, "pickup", 0.06, (5.05, 5.45), (1.85, 2.00), (1.76, 1.88), 0.24, 0.34, 0.60),
-    Style(VehicleClass.VAN, "panel", 0.65, (4.90, 6.10), (1.92, 2.08), (1.95, 2.65), 0.15, 0.0, 0.50),
-    Style(VehicleClass.VAN, "minibus", 0.35, (4.70, 5.40), (1.88, 2.00), (1.88, 2.05), 0.16, 0.01, 0.52),
-    Style(VehicleClass.TRUCK, "box", 0.65, (6.2, 9.8), (2.25, 2.52), (2.95, 3.75)),
-    Style(VehicleClass.TRUCK, "tipper", 0.35, (5.8, 8.6), (2.25, 2.50), (2.55, 3.00)),
-    Style(VehicleClass.BUS, "city", 0.70, (10.6, 12.4), (2.48, 2.55), (2.95, 3.20)),
-    Style(VehicleClass.BUS, "midi", 0.30, (8.2, 9.8), (2.38, 2.50), (2.80, 3.05)),
+    Style(RoadUserClass.CAR, "hatchback", 0.30, (3.65, 4.35), (1.66, 1.82), (1.42, 1.56), 0.24, 0.02, 0.60),
+    Style(RoadUserClass.CAR, "saloon", 0.28, (4.40, 4.95), (1.76, 1.90), (1.40, 1.50), 0.26, 0.15, 0.62),
+    Style(RoadUserClass.CAR, "estate", 0.12, (4.45, 4.95), (1.76, 1.88), (1.44, 1.54), 0.26, 0.02, 0.61),
+    Style(RoadUserClass.CAR, "suv", 0.24, (4.25, 4.95), (1.80, 1.98), (1.60, 1.80), 0.25, 0.02, 0.60),
+    Style(RoadUserClass.CAR, "pickup", 0.06, (5.05, 5.45), (1.85, 2.00), (1.76, 1.88), 0.24, 0.34, 0.60),
+    Style(RoadUserClass.VAN, "panel", 0.65, (4.90, 6.10), (1.92, 2.08), (1.95, 2.65), 0.15, 0.0, 0.50),
+    Style(RoadUserClass.VAN, "minibus", 0.35, (4.70, 5.40), (1.88, 2.00), (1.88, 2.05), 0.16, 0.01, 0.52),
+    Style(RoadUserClass.TRUCK, "box", 0.65, (6.2, 9.8), (2.25, 2.52), (2.95, 3.75)),
+    Style(RoadUserClass.TRUCK, "tipper", 0.35, (5.8, 8.6), (2.25, 2.50), (2.55, 3.00)),
+    Style(RoadUserClass.BUS, "city", 0.70, (10.6, 12.4), (2.48, 2.55), (2.95, 3.20)),
+    Style(RoadUserClass.BUS, "midi", 0.30, (8.2, 9.8), (2.38, 2.50), (2.80, 3.05)),
 )
 _STYLE_BY_NAME = {style.name: style for style in STYLES}
 
 #: Shares of the classes in ordinary traffic.
-CLASS_MIX = {VehicleClass.CAR: 0.74, VehicleClass.VAN: 0.12, VehicleClass.TRUCK: 0.08, VehicleClass.BUS: 0.06}
+CLASS_MIX = {RoadUserClass.CAR: 0.74, RoadUserClass.VAN: 0.12, RoadUserClass.TRUCK: 0.08, RoadUserClass.BUS: 0.06}
 
 
 @dataclass(frozen=True)
@@ -94,7 +94,7 @@ class VehicleModel:
     cargo: Colour
 
     @property
-    def vehicle_class(self) -> VehicleClass:
+    def vehicle_class(self) -> RoadUserClass:
         return _STYLE_BY_NAME[self.style].vehicle_class
 
     @property
@@ -102,7 +102,7 @@ class VehicleModel:
         return self.length_m, self.width_m, self.height_m
 
 
-def sample_vehicle(rng: np.random.Generator, mix: dict[VehicleClass, float] | None = None) -> VehicleModel:
+def sample_vehicle(rng: np.random.Generator, mix: dict[RoadUserClass, float] | None = None) -> VehicleModel:
     """A vehicle drawn from the shares of classes ``mix`` (default `CLASS_MIX`) and of styles within them."""
     shares = CLASS_MIX if mix is None else mix
     classes = list(shares)
@@ -128,9 +128,9 @@ def sample_vehicle(rng: np.random.Generator, mix: dict[VehicleClass, float] | No
 @lru_cache(maxsize=512)
 def vehicle_mesh(model: VehicleModel) -> Mesh:
     """The body of a vehicle in its own frame (origin at the centre of its box)."""
-    if model.vehicle_class is VehicleClass.TRUCK:
+    if model.vehicle_class is RoadUserClass.TRUCK:
         return _truck(model)
-    if model.vehicle_class is VehicleClass.BUS:
+    if model.vehicle_class is RoadUserClass.BUS:
         return _bus(model)
     return _car(model)
 
@@ -161,7 +161,7 @@ def _car(model: VehicleModel) -> Mesh:
     """Cars and vans: a chamfered lower body, and a narrower, shorter cabin on it."""
     style = _STYLE_BY_NAME[model.style]
     length, width, height = model.size_m
-    van = model.vehicle_class is VehicleClass.VAN
+    van = model.vehicle_class is RoadUserClass.VAN
     front, rear, half = length / 2, -length / 2, width / 2
     waist = style.waist * height
     bumper = 0.30 * height if van else 0.36 * height

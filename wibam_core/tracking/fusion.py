@@ -9,7 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from wibam_core.geometry.se3 import normalise_angle
-from wibam_core.scene import CLASSES, Vehicles3D
+from wibam_core.road_users import CLASSES
+from wibam_core.scene import Vehicles3D
 
 Array = NDArray[np.float64]
 Indices = NDArray[np.int64]

@@ -9,7 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from wibam_core.geometry.se3 import normalise_angle
-from wibam_core.scene import CLASSES, Track
+from wibam_core.road_users import CLASSES
+from wibam_core.scene import Track
 from wibam_core.tracking.fusion import SD_FLOOR
 from wibam_core.tracking.motion import AXLE_SHARE, CURVATURE, SPEED, YAW, Belief, Measurement, centre
 from wibam_core.tracking.smoother import smooth

@@ -14,7 +14,7 @@ from wibam_core.geometry.camera import Camera
 from wibam_core.geometry.torch_ops import CameraTensors
 from wibam_core.models.centertrack import VEHICLES
 from wibam_core.models.dla34 import STRIDE
-from wibam_core.scene import CLASSES, VehicleClass
+from wibam_core.road_users import CLASSES, RoadUserClass
 from wibam_core.training.views import FloatArray, LabelledView
 
 #: A projected 3D centre farther than this from the 2D box's centre belongs to a truncated vehicle, whose visible part
@@ -26,7 +26,7 @@ _PEAK_IOU = 0.7
 
 #: Our class -> row of the heat's channels of `VEHICLES`. Vans are cars there.
 _ROW_OF_CLASS = np.array(
-    [list(VEHICLES.values()).index(VehicleClass.CAR if kind is VehicleClass.VAN else kind) for kind in CLASSES]
+    [list(VEHICLES.values()).index(RoadUserClass.CAR if kind is RoadUserClass.VAN else kind) for kind in CLASSES]
 )
 
 _NO_BOX = np.array([0.0, 0.0, 0.0, 1.0, 1.0, 1.0, 0.0])

@@ -11,10 +11,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from wibam_core.bodies import TEMPLATES
 from wibam_core.detection.boxes import pairwise_iou
 from wibam_core.geometry.box3d import vehicle_to_world
 from wibam_core.geometry.camera import Camera
+from wibam_core.road_users import BODIES
 from wibam_core.training.views import FloatArray
 
 #: Of a vehicle with a body point nearer than this along the optical axis, nothing is said, m.
@@ -53,7 +53,7 @@ def overlooked(
         found: (M,) whether the view has a 2D box that is known to be the vehicle's.
         boxes2d: (N, 4) xyxy, px: all 2D boxes of the view.
     """
-    points = vehicle_to_world(vehicles, TEMPLATES[classes] * vehicles[:, None, 3:6])
+    points = vehicle_to_world(vehicles, BODIES[classes] * vehicles[:, None, 3:6])
     pixels, depths = camera.project(points)
     ahead = depths.min(axis=1, initial=np.inf) > _NEAREST_M
     pixels = np.where(ahead[:, None, None], pixels, 0.0)

@@ -16,7 +16,7 @@ from wibam_core.geometry.torch_ops import CameraTensors
 from wibam_core.models.decode import TAUGHT_CELLS
 from wibam_core.models.small import INPUT_WIDTH_PX, MEAN_SIZES_M, REFERENCE_FOCAL_PX
 from wibam_core.models.trunk import STRIDE
-from wibam_core.scene import CLASSES
+from wibam_core.road_users import CLASSES
 from wibam_core.training.views import FloatArray, LabelledView
 
 #: A projected 3D centre farther than this from the 2D box's centre belongs to a truncated vehicle, whose visible part

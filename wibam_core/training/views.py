@@ -20,7 +20,7 @@ class LabelledView:
         image: (H, W, 3) uint8, BGR.
         camera: of the image's size, but for rows of padding at the bottom of the image.
         boxes2d: (N, 4) xyxy, px of ``image``: the visible part of each vehicle.
-        classes: (N,) indices into `wibam_core.scene.CLASSES`.
+        classes: (N,) indices into `wibam_core.road_users.CLASSES`.
         boxes3d: (N, 7) in the world; NaN where unknown: such a vehicle teaches the heat and its 2D box alone.
         confidence: (N,) weight in [0, 1] of the 3D label.
         front_known: (N,) whether the 3D label tells front from rear; where not, either heading is right.

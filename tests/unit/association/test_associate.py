@@ -10,7 +10,8 @@ from tests.multiview import crossing
 from wibam_core.association.associate import associate, association_statistics
 from wibam_core.config import AssociateConfig
 from wibam_core.errors import NoMultiViewVehicles, NoVehicles
-from wibam_core.scene import AnnotatedInstant, CameraRig, Detections2D, MultiViewVehicle, VehicleClass
+from wibam_core.road_users import RoadUserClass
+from wibam_core.scene import AnnotatedInstant, CameraRig, Detections2D, MultiViewVehicle
 
 CONFIG = AssociateConfig()
 
@@ -78,8 +79,8 @@ def test_statistics_count_views_and_what_is_left_over() -> None:
     seen = Detections2D("cam1", 0, np.zeros((2, 4)), np.ones(2), np.zeros(2, np.int64))
     other = Detections2D("cam2", 0, np.zeros((2, 4)), np.ones(2), np.zeros(2, np.int64))
     vehicles = (
-        MultiViewVehicle(0, 0, VehicleClass.CAR, 0.0, 0.0, {"cam1": 0, "cam2": 1}),
-        MultiViewVehicle(1, -1, VehicleClass.CAR, 9.0, 0.0, {"cam1": 1}),
+        MultiViewVehicle(0, 0, RoadUserClass.CAR, 0.0, 0.0, {"cam1": 0, "cam2": 1}),
+        MultiViewVehicle(1, -1, RoadUserClass.CAR, 9.0, 0.0, {"cam1": 1}),
     )
     statistics = association_statistics([AnnotatedInstant(0, {"cam1": seen, "cam2": other}, vehicles)])
     assert statistics["by_views"] == {"2": 1}

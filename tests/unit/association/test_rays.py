@@ -6,12 +6,13 @@ import numpy as np
 import pytest
 
 from tests.builders import corner_rig, look_at
-from wibam_core.association.rays import PLANE_HEIGHT_M, ground_covariances, ground_points, rig_centre, within_range
+from wibam_core.association.rays import ground_covariances, ground_points, rig_centre, within_range
 from wibam_core.geometry.projection import project_boxes
-from wibam_core.scene import CLASSES, Detections2D, VehicleClass
+from wibam_core.road_users import CLASSES, RoadUserClass
+from wibam_core.scene import Detections2D
 
 
-def detections(boxes: np.ndarray, vehicle_class: VehicleClass = VehicleClass.CAR) -> Detections2D:
+def detections(boxes: np.ndarray, vehicle_class: RoadUserClass = RoadUserClass.CAR) -> Detections2D:
     n = len(boxes)
     return Detections2D("cam1", 0, boxes, np.ones(n), np.full(n, vehicle_class.number))
 
@@ -49,8 +50,8 @@ def test_boxes_above_the_horizon_have_no_ground_point() -> None:
 
 
 def test_every_class_has_a_plane_below_its_roof() -> None:
-    assert set(PLANE_HEIGHT_M) == set(CLASSES)
-    assert PLANE_HEIGHT_M[VehicleClass.CAR] < PLANE_HEIGHT_M[VehicleClass.BUS] < 2
+    for traits in (c.traits for c in CLASSES):
+        assert 0.4 * traits.size.size_m[2] < traits.plane_height_m < 0.5 * traits.size.size_m[2]
 
 
 def test_range_is_counted_from_between_the_cameras() -> None:

@@ -26,7 +26,8 @@ from wibam_core.models.onnx_network import OnnxNetwork
 from wibam_core.models.small import UNCERTAINTY_GROUPS, SmallNetwork
 from wibam_core.models.usage import Usage
 from wibam_core.models.weights import bundled, load_centertrack, load_network, save_network
-from wibam_core.scene import Track, VehicleClass, Vehicles3D
+from wibam_core.road_users import RoadUserClass
+from wibam_core.scene import Track, Vehicles3D
 from wibam_core.tracking import recording
 from wibam_core.tracking.recording import track_recording
 from wibam_core.video.decode import decode
@@ -193,7 +194,7 @@ def test_centertracks_weights_are_the_detector(centertrack: Path, tmp_path: Path
     tracks = read_tracks(out)
     assert tracks
     for track in tracks:
-        assert track.vehicle_class is VehicleClass.CAR
+        assert track.vehicle_class is RoadUserClass.CAR
         np.testing.assert_allclose(track.boxes[:, 3:6], [[4.5, 1.9, 1.6]] * len(track), atol=0.5)
 
 

@@ -11,13 +11,14 @@ from hypothesis import strategies as st
 from wibam_core.config import DatasetConfig
 from wibam_core.dataset.split import MIN_INSTANTS, SUBSETS, Split, at_rate, split_in_time
 from wibam_core.errors import TooFewInstants
-from wibam_core.scene import AnnotatedInstant, MultiViewVehicle, VehicleClass
+from wibam_core.road_users import RoadUserClass
+from wibam_core.scene import AnnotatedInstant, MultiViewVehicle
 
 RATE_HZ = 12.5
 
 
 def vehicle(track_id: int) -> MultiViewVehicle:
-    return MultiViewVehicle(0, track_id, VehicleClass.CAR, 0.0, 0.0, {"cam1": 0, "cam2": 0})
+    return MultiViewVehicle(0, track_id, RoadUserClass.CAR, 0.0, 0.0, {"cam1": 0, "cam2": 0})
 
 
 def footage(seconds: float, spans: dict[int, tuple[float, float]] | None = None, start_ns: int = 7_000) -> list:

@@ -8,14 +8,15 @@ import pytest
 from tests.builders import corner_rig
 from wibam_core.dataset.split import Split
 from wibam_core.dataset.statistics import dataset_statistics
-from wibam_core.scene import AnnotatedInstant, MultiViewVehicle, VehicleClass
+from wibam_core.road_users import RoadUserClass
+from wibam_core.scene import AnnotatedInstant, MultiViewVehicle
 
 
 def test_counts_and_distributions() -> None:
     rig = corner_rig(radius_m=20.0, height_m=8.0)
-    car = MultiViewVehicle(0, 4, VehicleClass.CAR, 0.0, 0.0, {"cam1": 0, "cam2": 0, "cam3": 0})
-    bus = MultiViewVehicle(1, 5, VehicleClass.BUS, 0.0, 0.0, {"cam1": 1, "cam2": 1})
-    alone = MultiViewVehicle(2, 6, VehicleClass.CAR, 0.0, 0.0, {"cam4": 1})
+    car = MultiViewVehicle(0, 4, RoadUserClass.CAR, 0.0, 0.0, {"cam1": 0, "cam2": 0, "cam3": 0})
+    bus = MultiViewVehicle(1, 5, RoadUserClass.BUS, 0.0, 0.0, {"cam1": 1, "cam2": 1})
+    alone = MultiViewVehicle(2, 6, RoadUserClass.CAR, 0.0, 0.0, {"cam4": 1})
     instants = [AnnotatedInstant(t, {}, (car, bus, alone) if t < 3 else (car,)) for t in range(6)]
     split = Split(
         {"train": (0, 1, 2), "val": (3,), "test": (5,)},

@@ -15,7 +15,7 @@ from wibam_core.detection.centre import CentreDetector
 from wibam_core.detection.detector import load_detector
 from wibam_core.detection.yolox import YoloxDetector, letterbox
 from wibam_core.errors import InvalidWeights
-from wibam_core.scene import CLASSES
+from wibam_core.road_users import CLASSES
 from wibam_core.video.decode import decode
 
 CAR, VAN, TRUCK, BUS = range(4)

@@ -6,7 +6,8 @@ import pytest
 from tests.builders import corner_rig
 from wibam_core.evaluation.self_consistency import Agreement, roughness, self_consistency
 from wibam_core.geometry.projection import project_boxes
-from wibam_core.scene import AnnotatedInstant, CameraRig, Detections2D, MultiViewVehicle, VehicleClass, Vehicles3D
+from wibam_core.road_users import RoadUserClass
+from wibam_core.scene import AnnotatedInstant, CameraRig, Detections2D, MultiViewVehicle, Vehicles3D
 
 RIG = corner_rig(3)
 TRUTH = np.array([[0.0, 0, 0.75, 4.5, 1.8, 1.5, 0.4], [6.0, 5, 0.75, 4.2, 1.8, 1.5, 2.0]])
@@ -17,7 +18,7 @@ def annotate(rig: CameraRig) -> AnnotatedInstant:
         camera_id: Detections2D(camera_id, 0, project_boxes(camera, TRUTH), np.ones(2), np.zeros(2, int))
         for camera_id, camera in rig.items()
     }
-    vehicles = tuple(MultiViewVehicle(i, i, VehicleClass.CAR, *TRUTH[i, :2], dict.fromkeys(rig, i)) for i in range(2))
+    vehicles = tuple(MultiViewVehicle(i, i, RoadUserClass.CAR, *TRUTH[i, :2], dict.fromkeys(rig, i)) for i in range(2))
     return AnnotatedInstant(0, detections, vehicles)
 
 

@@ -8,7 +8,8 @@ import numpy as np
 import pyarrow.parquet as pq
 
 from wibam_core.formats.annotations import read_annotations, write_annotations
-from wibam_core.scene import AnnotatedInstant, Detections2D, MultiViewVehicle, VehicleClass
+from wibam_core.road_users import RoadUserClass
+from wibam_core.scene import AnnotatedInstant, Detections2D, MultiViewVehicle
 
 
 def test_amodal_boxes_are_kept_where_they_are_known(tmp_path: Path) -> None:
@@ -38,7 +39,7 @@ def test_round_trip_keeps_boxes_vehicles_and_empty_frames(tmp_path: Path) -> Non
     a = Detections2D("a", 101, np.array([[0, 1, 2, 3.5], [5, 5, 9, 9]]), np.array([0.9, 0.4]), np.array([0, 3]))
     b = Detections2D("b", 99, np.zeros((0, 4)), np.zeros(0), np.zeros(0, int))
     c = Detections2D("c", 100, np.array([[7, 7, 8, 8.0]]), np.array([0.5]), np.array([2]))
-    vehicle = MultiViewVehicle(0, 17, VehicleClass.TRUCK, 1.5, -2.5, {"a": 1, "c": 0})
+    vehicle = MultiViewVehicle(0, 17, RoadUserClass.TRUCK, 1.5, -2.5, {"a": 1, "c": 0})
     later = AnnotatedInstant(200, {"a": Detections2D("a", 201, a.boxes, a.scores, a.classes)})
     write_annotations(tmp_path / "a.parquet", [later, AnnotatedInstant(100, {"a": a, "b": b, "c": c}, (vehicle,))])
 

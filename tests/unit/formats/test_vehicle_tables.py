@@ -12,7 +12,8 @@ from wibam_core.errors import InputError, InvalidLabels
 from wibam_core.formats.labels import read_labels, write_labels
 from wibam_core.formats.tracks import read_tracks, write_tracks
 from wibam_core.formats.vehicles3d import read_vehicles3d, write_vehicles3d
-from wibam_core.scene import LabelledInstant, Track, VehicleClass, Vehicles3D
+from wibam_core.road_users import RoadUserClass
+from wibam_core.scene import LabelledInstant, Track, Vehicles3D
 
 
 def boxes(n: int, seed: int = 0) -> np.ndarray:
@@ -61,7 +62,7 @@ def track(track_id: int, times: list[int]) -> Track:
     n = len(times)
     rng = np.random.default_rng(track_id)
     return Track(
-        track_id, VehicleClass.TRUCK, np.array(times), boxes(n, track_id), np.full((n, 7), 0.1),
+        track_id, RoadUserClass.TRUCK, np.array(times), boxes(n, track_id), np.full((n, 7), 0.1),
         rng.normal(size=(n, 2)), rng.normal(size=n),
     )  # fmt: skip
 
@@ -119,7 +120,7 @@ def test_a_plain_list_of_labels_is_read(tmp_path: Path) -> None:
     path.write_text(json.dumps([GOOD, {**{k: v for k, v in GOOD.items() if k != "vehicle_id"}, "class": "bus"}]))
     (instant,) = read_labels(path)
     assert instant.vehicles.ids.tolist() == [4, -1]
-    assert instant.vehicles.classes.tolist() == [VehicleClass.CAR.number, VehicleClass.BUS.number]
+    assert instant.vehicles.classes.tolist() == [RoadUserClass.CAR.number, RoadUserClass.BUS.number]
 
 
 @pytest.mark.parametrize(

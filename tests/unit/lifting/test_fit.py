@@ -7,18 +7,17 @@ import pytest
 import torch
 
 from tests.builders import corner_rig
-from wibam_core.bodies import TEMPLATES
 from wibam_core.geometry.box3d import vehicle_to_world
 from wibam_core.geometry.torch_ops import CameraTensors
 from wibam_core.lifting.fit import YAW, FitProblem, _linearise, evaluate, fit, with_noise, yaw_starts
 from wibam_core.lifting.noise import noise_of
-from wibam_core.lifting.size_priors import LOG_SIZE_MEAN, LOG_SIZE_SD
-from wibam_core.scene import CLASSES, CameraRig, VehicleClass
+from wibam_core.road_users import BODIES, CLASSES, LOG_SIZE_MEAN, LOG_SIZE_SD, RoadUserClass
+from wibam_core.scene import CameraRig
 
 RIG = corner_rig()
 
 
-def random_vehicles(count: int, seed: int = 0, vehicle_class: VehicleClass = VehicleClass.CAR) -> np.ndarray:
+def random_vehicles(count: int, seed: int = 0, vehicle_class: RoadUserClass = RoadUserClass.CAR) -> np.ndarray:
     """(B, 6) parameters of usual sizes within 8 m of the middle."""
     rng = np.random.default_rng(seed)
     k = vehicle_class.number
@@ -38,13 +37,13 @@ def template_boxes(rig: CameraRig, parameters: np.ndarray, body: np.ndarray) -> 
 def problem(
     parameters: np.ndarray,
     rig: CameraRig = RIG,
-    vehicle_class: VehicleClass = VehicleClass.CAR,
+    vehicle_class: RoadUserClass = RoadUserClass.CAR,
     dtype: torch.dtype = torch.float32,
     prior: float = 1.0,
 ) -> FitProblem:
     """Exact boxes of the template itself, a class prior and no other knowledge."""
     b, v, k = len(parameters), len(rig), vehicle_class.number
-    body = np.tile(TEMPLATES[k], (b, 1, 1))
+    body = np.tile(BODIES[k], (b, 1, 1))
     cameras = CameraTensors.from_cameras(list(rig.values()), dtype)
     mean = np.concatenate([np.zeros((b, 2)), np.tile(LOG_SIZE_MEAN[k], (b, 1)), np.zeros((b, 1))], axis=1)
     weight = np.concatenate(
@@ -81,7 +80,7 @@ def axis_error(a: np.ndarray, b: np.ndarray) -> np.ndarray:
 
 @pytest.mark.parametrize("vehicle_class", CLASSES)
 @pytest.mark.parametrize("dist", [(), (-0.12, 0.02, 0.001, -0.001, 0.0)])
-def test_exact_boxes_give_the_vehicle_back(vehicle_class: VehicleClass, dist: tuple[float, ...]) -> None:
+def test_exact_boxes_give_the_vehicle_back(vehicle_class: RoadUserClass, dist: tuple[float, ...]) -> None:
     rig = corner_rig(dist=dist)
     truth = random_vehicles(30, vehicle_class=vehicle_class)
     p = problem(truth, rig, vehicle_class, prior=1e-3)

@@ -5,7 +5,8 @@ import numpy as np
 from tests.builders import corner_rig
 from tests.multiview import crossing
 from wibam_core.lifting.observations import Observations, cut_by_border, hidden_by_nearer, observe
-from wibam_core.scene import AnnotatedInstant, Detections2D, MultiViewVehicle, VehicleClass
+from wibam_core.road_users import RoadUserClass
+from wibam_core.scene import AnnotatedInstant, Detections2D, MultiViewVehicle
 
 
 def test_edges_at_the_border_are_cut() -> None:
@@ -67,8 +68,8 @@ def test_amodal_edges_are_compared_by_what_they_state_even_where_a_nearer_vehicl
     amodal = np.array([[100.0, 100, 190, 140], near])
     sd = np.array([[1.0, 2, 9, 2], [1, 1, 1, 1]])
     vehicles = (
-        MultiViewVehicle(0, 3, VehicleClass.CAR, 30.0, 30.0, {"cam1": 0}),
-        MultiViewVehicle(1, 4, VehicleClass.CAR, 10.0, 10.0, {"cam1": 1}),
+        MultiViewVehicle(0, 3, RoadUserClass.CAR, 30.0, 30.0, {"cam1": 0}),
+        MultiViewVehicle(1, 4, RoadUserClass.CAR, 10.0, 10.0, {"cam1": 1}),
     )
 
     def edges(*known: np.ndarray) -> Observations:
@@ -90,7 +91,7 @@ def test_lateness_is_the_exposure_after_the_instant() -> None:
         c: Detections2D(c, 1_000_000_000 + late, box, np.ones(1), np.zeros(1, np.int64))
         for c, late in (("cam1", 20_000_000), ("cam2", -10_000_000))
     }
-    vehicle = MultiViewVehicle(0, 3, VehicleClass.CAR, 0.0, 0.0, {"cam1": 0, "cam2": 0})
+    vehicle = MultiViewVehicle(0, 3, RoadUserClass.CAR, 0.0, 0.0, {"cam1": 0, "cam2": 0})
     seen = observe([AnnotatedInstant(1_000_000_000, detections, (vehicle,))], corner_rig(), 2)
     assert np.allclose(seen.lateness_s[0, :2], [0.02, -0.01])
 

@@ -8,17 +8,16 @@ import pytest
 import torch
 
 from tests.unit.lifting.test_fit import RIG, problem, random_vehicles, template_boxes
-from wibam_core.bodies import TEMPLATES
 from wibam_core.lifting.fit import FitProblem, fit, with_bodies, with_noise
 from wibam_core.lifting.shapes import FEWEST_TRACKS, MODE_SD, MODES, Shapes, deformed, learn_shapes
 from wibam_core.lifting.trajectory import Tracks
-from wibam_core.scene import CLASSES, VehicleClass
+from wibam_core.road_users import BODIES, CLASSES, RoadUserClass
 
 SIGHTINGS = 6
 
 
 def site(
-    vehicle_class: VehicleClass, modes: np.ndarray, vehicles: int = 20, noise_px: float = 0.0, seed: int = 0
+    vehicle_class: RoadUserClass, modes: np.ndarray, vehicles: int = 20, noise_px: float = 0.0, seed: int = 0
 ) -> tuple[FitProblem, np.ndarray, Tracks, np.ndarray]:
     """Exact boxes of vehicles with a deformed body, each sighted at several places: problem, classes, tracks, truth."""
     rng = np.random.default_rng(seed)
@@ -29,7 +28,7 @@ def site(
     p = problem(truth, vehicle_class=vehicle_class)
     all_modes = np.zeros((len(CLASSES), len(MODES)))
     all_modes[k] = modes
-    body = np.tile(deformed(TEMPLATES, all_modes)[k], (len(truth), 1, 1))
+    body = np.tile(deformed(BODIES, all_modes)[k], (len(truth), 1, 1))
     boxes = template_boxes(RIG, truth, body) + rng.normal(0, noise_px, (len(truth), len(RIG), 4))
     mean, weight = p.prior_mean.clone(), p.prior_weight.clone()
     mean[:, :2] = torch.as_tensor(truth[:, :2] + rng.normal(0, 0.5, (len(truth), 2)))
@@ -54,56 +53,56 @@ def size_error(p: FitProblem, bodies: np.ndarray, classes: np.ndarray, truth: np
 @pytest.mark.parametrize("sign", [1, -1])
 def test_a_wrong_body_is_recovered(sign: int) -> None:
     modes = sign * np.array([0.06, -0.05, -0.06, 0.05, -0.06])
-    p, classes, tracks, truth = site(VehicleClass.CAR, modes, noise_px=0.5)
+    p, classes, tracks, truth = site(RoadUserClass.CAR, modes, noise_px=0.5)
     found = learned(p, classes, tracks)
-    car = VehicleClass.CAR.number
+    car = RoadUserClass.CAR.number
     assert found.tracks[car] == 20
     assert np.abs(found.modes[car] - modes).max() < 0.03
     assert (np.abs(found.modes[car] - modes) < 2.5 * found.sd[car]).all()
-    assert size_error(p, found.bodies, classes, truth) < 0.4 * size_error(p, TEMPLATES, classes, truth)
+    assert size_error(p, found.bodies, classes, truth) < 0.4 * size_error(p, BODIES, classes, truth)
 
 
 @pytest.mark.parametrize("vehicle_class", CLASSES)
-def test_a_right_body_is_left_alone(vehicle_class: VehicleClass) -> None:
+def test_a_right_body_is_left_alone(vehicle_class: RoadUserClass) -> None:
     p, classes, tracks, _ = site(vehicle_class, np.zeros(len(MODES)), vehicles=10, noise_px=0.5)
     found = learned(p, classes, tracks)
     assert np.abs(found.modes).max() < 0.015
     others = np.arange(len(CLASSES)) != vehicle_class.number
-    np.testing.assert_array_equal(found.bodies[others], TEMPLATES[others])
+    np.testing.assert_array_equal(found.bodies[others], BODIES[others])
 
 
 def test_a_body_that_explains_hardly_more_is_not_taken() -> None:
     """Modes of a body that is nearly right, under noise: they would say more of the noise than of the body."""
     modes = 0.4 * np.array([0.06, -0.05, -0.06, 0.05, -0.06])
-    p, classes, tracks, _ = site(VehicleClass.CAR, modes, noise_px=1.5)
+    p, classes, tracks, _ = site(RoadUserClass.CAR, modes, noise_px=1.5)
     found = learned(p, classes, tracks)
-    np.testing.assert_array_equal(found.bodies, TEMPLATES)
+    np.testing.assert_array_equal(found.bodies, BODIES)
     assert found.statistics() == {}
 
 
 def test_vehicles_larger_than_usual_are_no_other_shape() -> None:
     """What a site's vehicles have in common is their size as well: a mode must not stand in for it."""
-    p, classes, tracks, _ = site(VehicleClass.CAR, np.zeros(len(MODES)), noise_px=0.5)
+    p, classes, tracks, _ = site(RoadUserClass.CAR, np.zeros(len(MODES)), noise_px=0.5)
     p.prior_mean[:, 2:5] -= torch.tensor([0.07, 0.04, 0.05])
     assert np.abs(learned(p, classes, tracks).modes).max() < 0.02
 
 
 def test_few_tracks_keep_the_template() -> None:
-    p, classes, tracks, _ = site(VehicleClass.VAN, np.full(len(MODES), 0.05), vehicles=FEWEST_TRACKS - 1)
+    p, classes, tracks, _ = site(RoadUserClass.VAN, np.full(len(MODES), 0.05), vehicles=FEWEST_TRACKS - 1)
     found = learned(p, classes, tracks)
-    np.testing.assert_array_equal(found.bodies, TEMPLATES)
+    np.testing.assert_array_equal(found.bodies, BODIES)
     np.testing.assert_array_equal(found.sd, np.tile(MODE_SD, (len(CLASSES), 1)))
     assert found.statistics() == {}
 
 
 def test_sightings_that_cannot_be_used_are_not() -> None:
-    p, classes, tracks, _ = site(VehicleClass.CAR, np.full(len(MODES), 0.05))
+    p, classes, tracks, _ = site(RoadUserClass.CAR, np.full(len(MODES), 0.05))
     found = learn_shapes(p, classes, tracks, np.zeros(len(p), dtype=bool), 50)
-    np.testing.assert_array_equal(found.bodies, TEMPLATES)
+    np.testing.assert_array_equal(found.bodies, BODIES)
 
 
 def test_statistics_name_the_modes_and_repeat_exactly() -> None:
-    p, classes, tracks, _ = site(VehicleClass.CAR, np.full(len(MODES), 0.05), vehicles=6)
+    p, classes, tracks, _ = site(RoadUserClass.CAR, np.full(len(MODES), 0.05), vehicles=6)
     first, second = (learned(p, classes, tracks).statistics() for _ in range(2))
     assert first == second
     assert list(first) == ["car"]
@@ -115,6 +114,6 @@ def test_statistics_name_the_modes_and_repeat_exactly() -> None:
 
 def test_no_point_leaves_the_vehicle() -> None:
     for sign in (1, -1):
-        bodies = deformed(TEMPLATES, np.full((len(CLASSES), len(MODES)), sign * 0.2))
+        bodies = deformed(BODIES, np.full((len(CLASSES), len(MODES)), sign * 0.2))
         assert np.abs(bodies).max() <= 0.5
-    np.testing.assert_array_equal(deformed(TEMPLATES, np.zeros((len(CLASSES), len(MODES)))), TEMPLATES)
+    np.testing.assert_array_equal(deformed(BODIES, np.zeros((len(CLASSES), len(MODES)))), BODIES)

@@ -24,7 +24,7 @@ from wibam_core.models.centertrack import (
 )
 from wibam_core.models.dla34 import DLA34, HEADS
 from wibam_core.models.inference import Frame
-from wibam_core.scene import VehicleClass
+from wibam_core.road_users import RoadUserClass
 
 
 def off_centre(camera: Camera, du_px: float, dv_px: float) -> Camera:
@@ -177,7 +177,7 @@ def test_classes_are_ours_or_left_out() -> None:
         for i, name in enumerate(NUSCENES_CLASSES)
     ]
     found, _ = decoded(camera, *truths)
-    kinds = [VehicleClass.CAR, VehicleClass.TRUCK, VehicleClass.BUS, VehicleClass.TRUCK]
+    kinds = [RoadUserClass.CAR, RoadUserClass.TRUCK, RoadUserClass.BUS, RoadUserClass.TRUCK]
     assert found.classes.tolist() == [kind.number for kind in kinds]
     assert list(VEHICLES) == ["car", "truck", "bus", "construction_vehicle"]
     np.testing.assert_allclose(found.boxes, [t.box for t in truths if t.name in VEHICLES], atol=1e-6)
@@ -187,7 +187,7 @@ def test_one_vehicle_is_found_once() -> None:
     camera = CAMERAS["pitched"]
     box = np.array([1.2, -1.7, 0.85, 4.6, 1.9, 1.7, 0.4])
     both, _ = decoded(camera, Truth(box, "truck", 0.6), Truth(box, "bus", 0.8))  # two classes at one cell
-    assert both.classes.tolist() == [VehicleClass.BUS.number]
+    assert both.classes.tolist() == [RoadUserClass.BUS.number]
     warp = InputWarp.of(camera.width_px, camera.height_px)
     heads = empty_heads(warp)
     encode(heads, warp, camera, Truth(box))

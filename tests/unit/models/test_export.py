@@ -12,7 +12,7 @@ from wibam_core.models.detector2d import Detector2D, ExportedDetector2D
 from wibam_core.models.export import export_detector2d, export_refiner2d
 from wibam_core.models.refiner2d import Refiner2D
 from wibam_core.models.trunk import TrunkShape
-from wibam_core.scene import CLASSES
+from wibam_core.road_users import CLASSES
 
 
 @pytest.mark.filterwarnings("ignore::DeprecationWarning", "ignore::UserWarning")

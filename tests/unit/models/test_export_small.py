@@ -20,7 +20,7 @@ from wibam_core.models.small import INPUT_WIDTH_PX, MEAN_SIZES_M, REFERENCE_FOCA
 from wibam_core.models.trunk import STRIDE, TrunkShape
 from wibam_core.models.usage import Usage
 from wibam_core.models.weights import bundled, load_network
-from wibam_core.scene import CLASSES
+from wibam_core.road_users import CLASSES
 from wibam_core.synthetic.sampling import sample_views
 
 TINY = TrunkShape(channels=(8, 8, 16, 16, 16), blocks=(1, 0, 1, 0), neck=8)

@@ -8,7 +8,6 @@ import torch
 from torch import Tensor
 
 from tests.builders import look_at
-from wibam_core.bodies import TEMPLATES
 from wibam_core.geometry.torch_ops import CameraTensors, project, rays, vehicle_to_world
 from wibam_core.models.decode import (
     PeakValues,
@@ -23,6 +22,7 @@ from wibam_core.models.reconcile import edges_within, hidden_edges, reconciled
 from wibam_core.models.second_look import Edges
 from wibam_core.models.small import MEAN_SIZES_M, REFERENCE_FOCAL_PX
 from wibam_core.models.trunk import STRIDE
+from wibam_core.road_users import BODIES
 
 SIZES = torch.tensor(MEAN_SIZES_M)
 #: One for each vehicle, all of them different, half of them with distortion.
@@ -49,7 +49,7 @@ def vehicles(n: int = 24, seed: int = 0) -> tuple[Tensor, Tensor]:
 
 
 def body_px(boxes: Tensor, classes: Tensor) -> Tensor:
-    body = vehicle_to_world(boxes, torch.tensor(TEMPLATES)[classes] * boxes[:, None, 3:6])
+    body = vehicle_to_world(boxes, torch.tensor(BODIES)[classes] * boxes[:, None, 3:6])
     return project(CAMERAS[: len(boxes)], body)[0]
 
 

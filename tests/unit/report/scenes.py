@@ -29,13 +29,14 @@ from wibam_core.report.data import (
 )
 from wibam_core.report.inputs import Conflicts, Metrics
 from wibam_core.report.mosaic import typical_image
-from wibam_core.scene import Track, VehicleClass
+from wibam_core.road_users import RoadUserClass
+from wibam_core.scene import Track
 
 SIZES = {
-    VehicleClass.CAR: (4.4, 1.8, 1.5),
-    VehicleClass.VAN: (5.4, 2.0, 2.2),
-    VehicleClass.TRUCK: (7.8, 2.5, 3.2),
-    VehicleClass.BUS: (11.8, 2.55, 3.1),
+    RoadUserClass.CAR: (4.4, 1.8, 1.5),
+    RoadUserClass.VAN: (5.4, 2.0, 2.2),
+    RoadUserClass.TRUCK: (7.8, 2.5, 3.2),
+    RoadUserClass.BUS: (11.8, 2.55, 3.1),
 }
 RATE_HZ = 5.0
 OPTIONS = {"max_range_m": 50.0, "min_visibility": 0.3, "match_distance_m": 4.0, "min_score": 0.3}
@@ -43,7 +44,7 @@ OPTIONS = {"max_range_m": 50.0, "min_visibility": 0.3, "match_distance_m": 4.0, 
 
 def straight_track(
     track_id: int,
-    vehicle_class: VehicleClass,
+    vehicle_class: RoadUserClass,
     start: tuple[float, float],
     heading_rad: float,
     speed_mps: float,
@@ -73,12 +74,12 @@ def crossing_traffic() -> list[Track]:
     """Eastbound, westbound, northbound and southbound vehicles; tracks 1 and 3 meet near the middle."""
     east, north, west, south = 0.0, np.pi / 2, np.pi, -np.pi / 2
     return [
-        straight_track(1, VehicleClass.CAR, (-26.0, -2.0), east, 8.0),
-        straight_track(2, VehicleClass.BUS, (30.0, 2.0), west, 6.0),
-        straight_track(3, VehicleClass.VAN, (2.0, -24.0), north, 7.0),
-        straight_track(4, VehicleClass.TRUCK, (-2.0, 28.0), south, 5.0, begin_s=1.0),
-        straight_track(5, VehicleClass.CAR, (-36.0, -2.0), east, 8.0),
-        straight_track(6, VehicleClass.CAR, (2.0, -36.0), north, 9.0, begin_s=2.0),
+        straight_track(1, RoadUserClass.CAR, (-26.0, -2.0), east, 8.0),
+        straight_track(2, RoadUserClass.BUS, (30.0, 2.0), west, 6.0),
+        straight_track(3, RoadUserClass.VAN, (2.0, -24.0), north, 7.0),
+        straight_track(4, RoadUserClass.TRUCK, (-2.0, 28.0), south, 5.0, begin_s=1.0),
+        straight_track(5, RoadUserClass.CAR, (-36.0, -2.0), east, 8.0),
+        straight_track(6, RoadUserClass.CAR, (2.0, -36.0), north, 9.0, begin_s=2.0),
     ]
 
 

@@ -23,9 +23,9 @@ from wibam_core.formats.rig import write_rig
 from wibam_core.formats.tracks import write_tracks
 from wibam_core.formats.vehicles3d import write_vehicles3d
 from wibam_core.geometry.projection import project_boxes
+from wibam_core.road_users import CLASSES
 from wibam_core.safety.conflicts import find_conflicts
 from wibam_core.scene import (
-    CLASSES,
     AnnotatedInstant,
     CameraRig,
     Detections2D,

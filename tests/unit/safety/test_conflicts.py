@@ -9,11 +9,12 @@ import pytest
 from wibam_core.config import SafetyConfig
 from wibam_core.formats.tracks import write_tracks
 from wibam_core.progress import silent
+from wibam_core.road_users import RoadUserClass
 from wibam_core.safety.conflicts import ConflictType, find_conflicts
 from wibam_core.safety.drac import deceleration_to_avoid
 from wibam_core.safety.pet import post_encroachment
 from wibam_core.safety.turning import TurningStates
-from wibam_core.scene import Track, VehicleClass
+from wibam_core.scene import Track
 from wibam_core.site import Site
 from wibam_core.stages import safety as stage
 from wibam_core.stages.base import StageContext
@@ -42,7 +43,7 @@ def from_speed(
     boxes[:, :2] = np.array(start) + along[:, None] * direction + rng.normal(size=(n, 2)) * noise
     velocities = speeds[:, None] * direction + rng.normal(size=(n, 2)) * noise
     times = np.rint((begin_s + np.arange(n) / RATE_HZ) * 1e9).astype(np.int64)
-    return Track(track_id, VehicleClass.CAR, times, boxes, np.full((n, 7), sd), velocities, np.zeros(n))
+    return Track(track_id, RoadUserClass.CAR, times, boxes, np.full((n, 7), sd), velocities, np.zeros(n))
 
 
 def test_pet_of_a_right_angle_crossing_is_exact() -> None:

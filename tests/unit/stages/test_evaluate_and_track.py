@@ -27,14 +27,8 @@ from wibam_core.models.inference import Frame
 from wibam_core.models.small import SmallNetwork
 from wibam_core.models.weights import save_network
 from wibam_core.progress import silent
-from wibam_core.scene import (
-    AnnotatedInstant,
-    Detections2D,
-    LabelledInstant,
-    MultiViewVehicle,
-    VehicleClass,
-    Vehicles3D,
-)
+from wibam_core.road_users import RoadUserClass
+from wibam_core.scene import AnnotatedInstant, Detections2D, LabelledInstant, MultiViewVehicle, Vehicles3D
 from wibam_core.stages import evaluate, track
 from wibam_core.stages.base import StageContext
 
@@ -90,7 +84,7 @@ def context(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> StageContext:
             id_: Detections2D(id_, time, project_boxes(camera, truth(time)), np.ones(2), np.zeros(2, int))
             for id_, camera in RIG.items()
         }
-        vehicles = tuple(MultiViewVehicle(i, i, VehicleClass.CAR, 0.0, 0.0, dict.fromkeys(RIG, i)) for i in range(2))
+        vehicles = tuple(MultiViewVehicle(i, i, RoadUserClass.CAR, 0.0, 0.0, dict.fromkeys(RIG, i)) for i in range(2))
         annotated.append(AnnotatedInstant(time, detections, vehicles))
     write_annotations(folders["associate"] / "annotations.parquet", annotated)
     (folders["dataset"] / "split.json").write_text(json.dumps({"train": INSTANTS[:10], "val": [], "test": TEST}))

@@ -17,7 +17,7 @@ import pytest
 from wibam_core.cli import main
 from wibam_core.errors import MissingSumo
 from wibam_core.formats.labels import read_labels
-from wibam_core.scene import VehicleClass
+from wibam_core.road_users import RoadUserClass
 from wibam_core.synthetic.driving import STEP_S
 from wibam_core.synthetic.layout import make_layout
 from wibam_core.synthetic.options import SimulationOptions
@@ -203,7 +203,7 @@ def test_demand_grows_with_density_and_long_vehicles_hardly_turn() -> None:
     twice = draw_departures(routes, np.random.default_rng(1), 3600.0, 2.0)
     assert len(twice) == pytest.approx(2 * len(departures), rel=0.1)
     assert draw_departures(routes, np.random.default_rng(1), 3600.0, 0.0) == []
-    long = [d for d in departures if d.model.vehicle_class in (VehicleClass.BUS, VehicleClass.TRUCK)]
+    long = [d for d in departures if d.model.vehicle_class in (RoadUserClass.BUS, RoadUserClass.TRUCK)]
     assert long
     assert not [d for d in long if routes[d.route].movement == "right" and len(_choices(routes, d.route)) > 1]
 

@@ -7,21 +7,21 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from wibam_core.scene import CLASSES, VehicleClass
+from wibam_core.road_users import CLASSES, RoadUserClass
 from wibam_core.synthetic.mesh import paint_order
 from wibam_core.synthetic.vehicles import HEADLIGHT, STYLES, TAILLIGHT, VehicleModel, sample_vehicle, vehicle_mesh
 
 seeds = st.integers(0, 10_000)
 
 
-def model_of(seed: int, vehicle_class: VehicleClass | None = None) -> VehicleModel:
+def model_of(seed: int, vehicle_class: RoadUserClass | None = None) -> VehicleModel:
     rng = np.random.default_rng(seed)
     return sample_vehicle(rng, None if vehicle_class is None else {vehicle_class: 1.0})
 
 
 @given(seeds, st.sampled_from(CLASSES))
 @settings(max_examples=40, deadline=None)
-def test_extent_is_exactly_the_size(seed: int, vehicle_class: VehicleClass) -> None:
+def test_extent_is_exactly_the_size(seed: int, vehicle_class: RoadUserClass) -> None:
     model = model_of(seed, vehicle_class)
     points = vehicle_mesh(model).points
     assert np.abs(points.max(axis=0) - np.array(model.size_m) / 2).max() < 1e-12
@@ -30,7 +30,7 @@ def test_extent_is_exactly_the_size(seed: int, vehicle_class: VehicleClass) -> N
 
 @given(seeds, st.sampled_from(CLASSES))
 @settings(max_examples=20, deadline=None)
-def test_faces_look_outward(seed: int, vehicle_class: VehicleClass) -> None:
+def test_faces_look_outward(seed: int, vehicle_class: RoadUserClass) -> None:
     mesh = vehicle_mesh(model_of(seed, vehicle_class))
     for part in mesh.parts:
         middle = mesh.points[part.hull].mean(axis=0)
@@ -38,9 +38,9 @@ def test_faces_look_outward(seed: int, vehicle_class: VehicleClass) -> None:
         assert (((mesh.centres[faces] - middle) * mesh.normals[faces]).sum(axis=1) > 0).all()
 
 
-@given(seeds, st.sampled_from([VehicleClass.CAR, VehicleClass.VAN, VehicleClass.BUS]))
+@given(seeds, st.sampled_from([RoadUserClass.CAR, RoadUserClass.VAN, RoadUserClass.BUS]))
 @settings(max_examples=20, deadline=None)
-def test_bodies_are_tapered(seed: int, vehicle_class: VehicleClass) -> None:
+def test_bodies_are_tapered(seed: int, vehicle_class: RoadUserClass) -> None:
     """The roof is narrower and shorter than the body: no top corner of the box is reached, by far."""
     model = model_of(seed, vehicle_class)
     points = vehicle_mesh(model).points
@@ -60,7 +60,7 @@ def test_convention_headlights_are_at_positive_x(style: str) -> None:
 
 
 def test_left_and_right_are_mirror_images() -> None:
-    mesh = vehicle_mesh(model_of(3, VehicleClass.BUS))
+    mesh = vehicle_mesh(model_of(3, RoadUserClass.BUS))
     mirrored = mesh.points * np.array([1, -1, 1])
     nearest = np.linalg.norm(mesh.points[:, None] - mirrored[None], axis=-1).min(axis=1)
     hull = np.concatenate([part.hull for part in mesh.parts])
@@ -68,7 +68,7 @@ def test_left_and_right_are_mirror_images() -> None:
 
 
 def test_parts_are_painted_from_far_to_near() -> None:
-    mesh = vehicle_mesh(model_of(1, VehicleClass.TRUCK))
+    mesh = vehicle_mesh(model_of(1, RoadUserClass.TRUCK))
     assert sorted(paint_order(mesh.order, np.array([20.0, 0, 5]))) == list(range(len(mesh.parts)))
     cab = int(np.argmax([mesh.points[p.hull, 0].mean() for p in mesh.parts]))
     assert paint_order(mesh.order, np.array([30.0, 3, 6]))[-1] == cab
@@ -79,6 +79,6 @@ def test_sizes_suit_their_class() -> None:
     rng = np.random.default_rng(0)
     models = [sample_vehicle(rng) for _ in range(600)]
     mean = {c: np.mean([m.length_m for m in models if m.vehicle_class is c]) for c in CLASSES}
-    assert 4.2 < mean[VehicleClass.CAR] < 4.8
-    assert mean[VehicleClass.CAR] < mean[VehicleClass.VAN] < mean[VehicleClass.TRUCK] < mean[VehicleClass.BUS]
+    assert 4.2 < mean[RoadUserClass.CAR] < 4.8
+    assert mean[RoadUserClass.CAR] < mean[RoadUserClass.VAN] < mean[RoadUserClass.TRUCK] < mean[RoadUserClass.BUS]
     assert {m.style for m in models} == {s.name for s in STYLES}

@@ -4,7 +4,8 @@ import numpy as np
 import pytest
 
 from wibam_core.geometry.se3 import normalise_angle
-from wibam_core.scene import VehicleClass, Vehicles3D
+from wibam_core.road_users import RoadUserClass
+from wibam_core.scene import Vehicles3D
 from wibam_core.tracking.fusion import fuse
 
 
@@ -60,7 +61,7 @@ def test_long_vehicles_may_differ_more_along_their_heading() -> None:
 
 def test_classes_vote_with_their_scores() -> None:
     fused = fuse([seen((0, 0, 0), scores=[0.5]), seen((0, 0, 0), scores=[0.9], cls=2)])
-    assert fused.votes[0].argmax() == VehicleClass.TRUCK.number
+    assert fused.votes[0].argmax() == RoadUserClass.TRUCK.number
 
 
 def test_nothing_seen() -> None:

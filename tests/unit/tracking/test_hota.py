@@ -5,14 +5,15 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from wibam_core.scene import Track, VehicleClass
+from wibam_core.road_users import RoadUserClass
+from wibam_core.scene import Track
 from wibam_core.tracking.hota import ALPHAS, hota
 
 
 def track(track_id: int, times: range, y: float = 0.0, shift: float = 0.0) -> Track:
     n = len(times)
     boxes = np.array([[t + shift, y, 0.75, 4.0, 2.0, 1.5, 0.0] for t in times])
-    return Track(track_id, VehicleClass.CAR, np.array(times), boxes, np.ones((n, 7)), np.zeros((n, 2)), np.zeros(n))
+    return Track(track_id, RoadUserClass.CAR, np.array(times), boxes, np.ones((n, 7)), np.zeros((n, 2)), np.zeros(n))
 
 
 def test_the_truth_is_perfect() -> None:

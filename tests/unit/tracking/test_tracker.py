@@ -7,7 +7,8 @@ import pytest
 
 from wibam_core.config import TrackConfig
 from wibam_core.geometry.se3 import normalise_angle
-from wibam_core.scene import Track, VehicleClass, Vehicles3D
+from wibam_core.road_users import RoadUserClass
+from wibam_core.scene import Track, Vehicles3D
 from wibam_core.tracking.hota import hota
 from wibam_core.tracking.tracker import Tracker
 
@@ -42,7 +43,7 @@ def truth_of(paths: list[Path], seconds: float, size: tuple[float, float, float]
         boxes[:, 6] = normalise_angle(boxes[:, 6])
         n = len(times)
         tracks.append(
-            Track(number, VehicleClass.CAR, times, boxes, np.full((n, 7), np.nan), np.zeros((n, 2)), np.zeros(n))
+            Track(number, RoadUserClass.CAR, times, boxes, np.full((n, 7), np.nan), np.zeros((n, 2)), np.zeros(n))
         )
     return tracks
 
