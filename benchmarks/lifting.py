@@ -28,7 +28,8 @@ from wibam_core.detection.detector import BUNDLED, Detector, load_detector
 from wibam_core.formats.annotations import read_annotations, write_annotations
 from wibam_core.formats.labels import read_labels, write_labels
 from wibam_core.formats.rig import read_rig, write_rig
-from wibam_core.geometry.iou import bev_iou_paired, image_iou, iou_3d_paired
+from wibam_core.geometry.boxes2d import clipped_to_image, image_iou, sides_px
+from wibam_core.geometry.iou import bev_iou_paired, iou_3d_paired
 from wibam_core.lifting.lift import lift
 from wibam_core.road_users import CLASSES
 from wibam_core.scene import AnnotatedInstant, CameraRig, Detections2D, LabelledInstant, MultiViewVehicle, Vehicles3D
@@ -127,14 +128,13 @@ Seen = tuple[np.ndarray, np.ndarray, np.ndarray]
 def _jittered(drawing: Drawing, classes: Sequence[int], rng: np.random.Generator) -> tuple[list[int], Seen]:
     """Owners (−1: none) and boxes, scores, classes of a detector that finds what is visible, inexactly."""
     owners, boxes, scores, labels = [], [], [], []
-    limits = np.tile(np.array(SIZE_PX) - 0.5, 2)
     for k, true_class in enumerate(classes):
         box = drawing.visible_boxes[k]
-        sides = box[2:] - box[:2]
+        sides = sides_px(box)
         if drawing.visibility[k] < MIN_VISIBILITY or sides.max() < MIN_SIDE_PX or rng.random() < MISS_RATE:
             continue
         noisy = box + rng.normal(0, np.hypot(JITTER_PX, JITTER * np.tile(sides, 2)))
-        noisy = np.clip(noisy, -0.5, limits)
+        noisy = clipped_to_image(noisy, *SIZE_PX)
         noisy[2:] = np.maximum(noisy[2:], noisy[:2] + 1)
         owners.append(k)
         boxes.append(noisy)

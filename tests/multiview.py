@@ -13,6 +13,7 @@ import numpy as np
 
 from tests.builders import corner_rig
 from wibam_core.geometry.box3d import vehicle_to_world
+from wibam_core.geometry.boxes2d import clipped_to_image
 from wibam_core.road_users import CLASSES, RoadUserClass
 from wibam_core.scene import AnnotatedInstant, CameraRig, Detections2D, MultiViewVehicle, Vehicles3D
 
@@ -182,7 +183,7 @@ def record(
                     continue
                 sides = np.tile(box[2:] - box[:2], 2)
                 noisy = box + rng.normal(0, np.hypot(0.5, jitter * sides))
-                noisy = np.clip(noisy, -0.5, np.tile([camera.width_px - 0.5, camera.height_px - 0.5], 2))
+                noisy = clipped_to_image(noisy, camera.width_px, camera.height_px)
                 noisy[2:] = np.maximum(noisy[2:], noisy[:2] + 1)
                 views.setdefault(k, {})[camera_id] = len(boxes)
                 right = rng.random() >= class_error

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 from scipy.optimize import linear_sum_assignment
 
-from wibam_core.geometry.iou import image_iou
+from wibam_core.geometry.boxes2d import image_iou
 from wibam_core.scene import AnnotatedInstant, Detections2D, IntArray
 
 #: A box that overlaps where another was expected by less than this is none of its vehicle's: right after that was seen,

@@ -9,8 +9,9 @@ import numpy as np
 import onnxruntime
 
 from wibam_core.detection.background import StillBackground
-from wibam_core.detection.boxes import FloatArray, Found, Image, IntArray, non_maximum_suppression
+from wibam_core.detection.boxes import FloatArray, Found, Image, IntArray
 from wibam_core.detection.crops import blob
+from wibam_core.geometry.boxes2d import clipped_to_image, non_maximum_suppression, sides_px
 
 #: The refiner that comes with the project; learned from simulated images.
 BUNDLED_REFINER = Path(__file__).resolve().parent.parent / "models" / "bundled" / "refiner2d.onnx"
@@ -70,7 +71,7 @@ class EdgeRefiner:
         """
         if not len(found.boxes):
             return Refined(*found, np.empty((0, 4)), np.empty((0, 4)))
-        limits = np.array([image_bgr.shape[1], image_bgr.shape[0]] * 2) - 0.5
+        height, width = image_bgr.shape[:2]
         boxes, classes = found.boxes, found.classes
         for _ in range(passes):
             crops, windows = blob(image_bgr, background.layers, boxes)
@@ -78,11 +79,11 @@ class EdgeRefiner:
                 values.astype(np.float64) for values in self._session.run(_OUTPUTS, {"image": crops})
             )
             seen = np.stack([w.to_px(e) for w, e in zip(windows, edges, strict=True)])
-            boxes = _moved(found.boxes, np.clip(seen, -0.5, limits))
+            boxes = _moved(found.boxes, clipped_to_image(seen, width, height))
             if classify:
                 classes = logits.argmax(axis=1).astype(np.int64)
         sides = np.tile(np.array([window.size for window in windows], dtype=np.float64), (1, 2))
-        amodal = np.clip(boxes + _OUTWARD * reach * sides, -0.5, limits)
+        amodal = clipped_to_image(boxes + _OUTWARD * reach * sides, width, height)
         sd = _SD_OF_ABSOLUTE_ERROR * np.exp(log_scale) * sides
         kept = np.sort(non_maximum_suppression(boxes, found.scores, nms_iou))
         return Refined(boxes[kept], found.scores[kept], classes[kept], amodal[kept], sd[kept])
@@ -90,7 +91,7 @@ class EdgeRefiner:
 
 def _moved(boxes: FloatArray, wanted: FloatArray) -> FloatArray:
     """Boxes (N, 4) with their edges where they are wanted, or as far towards that as they may be moved."""
-    most = _MOST_MOVED * np.tile(boxes[:, 2:] - boxes[:, :2], (1, 2))
+    most = _MOST_MOVED * np.tile(sides_px(boxes), (1, 2))
     moved = np.clip(wanted, boxes - most, boxes + most)
-    sound = np.asarray(((moved[:, 2:] - moved[:, :2]) >= 1.0).all(axis=1))
+    sound = np.asarray((sides_px(moved) >= 1.0).all(axis=1))
     return np.where(sound[:, None], moved, boxes)

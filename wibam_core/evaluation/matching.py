@@ -8,8 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import linear_sum_assignment
 
+from wibam_core.geometry.boxes2d import image_iou
 from wibam_core.geometry.camera import Camera
-from wibam_core.geometry.iou import image_iou
 from wibam_core.geometry.projection import project_boxes
 
 Array = NDArray[np.float64]
@@ -87,7 +87,7 @@ def match_in_image(labels: Array, visible: NDArray[np.bool_], detections: Array,
         camera: the frame's.
     """
     candidates = np.flatnonzero(visible)
-    overlap = np.nan_to_num(image_iou(project_boxes(camera, labels[candidates]), project_boxes(camera, detections)))
+    overlap = image_iou(project_boxes(camera, labels[candidates]), project_boxes(camera, detections))
     rows, columns = assign(1.0 - overlap, 1.0 - PAPER_MIN_IMAGE_IOU)
     nothing = np.empty(0, np.int64)
     return FrameMatch(candidates[rows], columns, nothing, nothing)

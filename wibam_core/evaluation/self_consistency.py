@@ -14,8 +14,8 @@ from numpy.typing import NDArray
 
 from wibam_core.evaluation.matching import assign
 from wibam_core.evaluation.summary import mean_sd
+from wibam_core.geometry.boxes2d import image_iou
 from wibam_core.geometry.camera import Camera
-from wibam_core.geometry.iou import image_iou
 from wibam_core.geometry.projection import project_boxes
 from wibam_core.scene import AnnotatedInstant, Vehicles3D
 
@@ -91,7 +91,7 @@ def agreements(
                 continue
             asked += len(seen)
             targets = np.array([detected.boxes[vehicle.views[camera_id]] for vehicle in seen])
-            overlap = np.nan_to_num(image_iou(targets, project_boxes(rig[camera_id], found.boxes)))
+            overlap = image_iou(targets, project_boxes(rig[camera_id], found.boxes))
             for row, column in zip(*assign(1.0 - overlap, 1.0 - MIN_OWN_IOU), strict=True):
                 box = found.boxes[column]
                 others = {view: index for view, index in seen[row].views.items() if view != camera_id}
@@ -138,4 +138,4 @@ def roughness(found: Iterable[Agreement]) -> Array:
 
 def _overlap(camera: Camera, box: Array, target: Array) -> float:
     """Image IoU of a box (7,) with a 2D box (4,); 0 where the box is not in front of the camera."""
-    return float(np.nan_to_num(image_iou(project_boxes(camera, box[None]), target[None]))[0, 0])
+    return float(image_iou(project_boxes(camera, box[None]), target[None])[0, 0])

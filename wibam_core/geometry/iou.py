@@ -1,4 +1,4 @@
-"""Exact overlaps: rotated rectangles in bird's-eye view, upright boxes in 3D, and axis-aligned boxes in the image."""
+"""Exact overlaps of upright boxes: footprints in bird's-eye view, and volumes. Image boxes: see `boxes2d`."""
 
 from __future__ import annotations
 
@@ -106,16 +106,3 @@ def iou_3d(a: ArrayLike, b: ArrayLike) -> Array:
     """Volume IoU (N, M) of every box of a (N, 7) with every box of b (M, 7)."""
     first, second, shape = _all_pairs(a, b)
     return iou_3d_paired(first, second).reshape(shape)
-
-
-def image_iou(a: ArrayLike, b: ArrayLike) -> Array:
-    """IoU (N, M) of xyxy boxes a (N, 4) and b (M, 4); 0 where either is empty."""
-    first = np.asarray(a, dtype=np.float64).reshape(-1, 4)
-    second = np.asarray(b, dtype=np.float64).reshape(-1, 4)
-    low = np.maximum(first[:, None, :2], second[None, :, :2])
-    high = np.minimum(first[:, None, 2:], second[None, :, 2:])
-    overlap = np.clip(high - low, 0, None).prod(axis=-1)
-    area_a = np.clip(first[:, 2:] - first[:, :2], 0, None).prod(axis=-1)
-    area_b = np.clip(second[:, 2:] - second[:, :2], 0, None).prod(axis=-1)
-    union = area_a[:, None] + area_b[None, :] - overlap
-    return np.divide(overlap, union, out=np.zeros_like(overlap), where=union > 0)

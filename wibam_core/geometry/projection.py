@@ -6,6 +6,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from wibam_core.geometry.box3d import EDGES, corners
+from wibam_core.geometry.boxes2d import clipped_to_image
 from wibam_core.geometry.camera import Camera
 
 Array = NDArray[np.float64]
@@ -56,6 +57,6 @@ def project_boxes(camera: Camera, boxes: ArrayLike, *, near_m: float = NEAR_M, c
     if clamp:
         limits = np.array([camera.width_px, camera.height_px], dtype=np.float64) - 0.5
         gone |= (low >= limits).any(axis=1) | (high <= -0.5).any(axis=1)
-        box = np.clip(box, -0.5, np.tile(limits, 2))
+        box = clipped_to_image(box, camera.width_px, camera.height_px)
     box[gone] = np.nan
     return box

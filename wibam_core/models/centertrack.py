@@ -19,11 +19,12 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
+from wibam_core.geometry.boxes2d import distinct
 from wibam_core.geometry.camera import Camera
 from wibam_core.geometry.torch_ops import CameraTensors, intersect_plane, rays
 from wibam_core.models.decode import Decode, azimuths_rad, find_peaks, focal_px, wrap_angle
 from wibam_core.models.dla34 import DLA34, STRIDE
-from wibam_core.models.inference import Frame, distinct
+from wibam_core.models.inference import DUPLICATE_IOU, Frame
 from wibam_core.road_users import RoadUserClass
 from wibam_core.scene import Vehicles3D
 
@@ -250,7 +251,7 @@ def decode_vehicles(
     kinds = np.array([kind.number for kind in VEHICLES.values()])
     found = Decoded(boxes, boxes2d, kinds[peaks.classes.numpy()], peaks.scores.double().numpy())
     possible = np.flatnonzero(np.isfinite(np.hstack([boxes, boxes2d])).all(axis=1) & (boxes[:, 3:6] > 0).all(axis=1))
-    kept = possible[distinct(boxes2d[possible])]
+    kept = possible[distinct(boxes2d[possible], DUPLICATE_IOU)]
     return Decoded(found.boxes[kept], found.boxes2d[kept], found.classes[kept], found.scores[kept])
 
 

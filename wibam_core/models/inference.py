@@ -12,6 +12,7 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
+from wibam_core.geometry.boxes2d import distinct
 from wibam_core.geometry.camera import Camera
 from wibam_core.geometry.torch_ops import CameraTensors
 from wibam_core.models.decode import (
@@ -36,7 +37,7 @@ from wibam_core.scene import Vehicles3D
 RunnableNetwork = SmallNetwork | OnnxNetwork
 
 #: Of two peaks whose 2D boxes overlap more than this, the weaker is a duplicate.
-_DUPLICATE_IOU = 0.7
+DUPLICATE_IOU = 0.7
 
 
 @dataclass(frozen=True, eq=False)
@@ -219,19 +220,5 @@ def kept_peaks(image: Tensor, boxes: Tensor, boxes2d: Tensor) -> Tensor:
     kept = []
     for number in image.unique().tolist():
         mine = ((image == number) & finite).nonzero()[:, 0]
-        kept.append(mine[torch.from_numpy(distinct(boxes2d[mine].numpy()))])
+        kept.append(mine[torch.from_numpy(distinct(boxes2d[mine].numpy(), DUPLICATE_IOU))])
     return torch.cat(kept) if kept else image
-
-
-def distinct(boxes: NDArray[np.float64]) -> NDArray[np.int64]:
-    """Indices of xyxy boxes (N, 4), best first, that overlap no better one by more than `_DUPLICATE_IOU`."""
-    areas = np.prod(boxes[:, 2:] - boxes[:, :2], axis=1)
-    low = np.maximum(boxes[:, None, :2], boxes[:, :2])
-    high = np.minimum(boxes[:, None, 2:], boxes[:, 2:])
-    overlap = np.clip(high - low, 0, None).prod(axis=2)
-    duplicate = overlap > _DUPLICATE_IOU * (areas[:, None] + areas - overlap)
-    kept = np.ones(len(boxes), dtype=bool)
-    for index in range(len(boxes)):
-        if kept[index]:
-            kept[index + 1 :] &= ~duplicate[index, index + 1 :]
-    return np.flatnonzero(kept)

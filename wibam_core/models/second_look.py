@@ -16,6 +16,7 @@ from torch import Tensor
 from wibam_core.detection.background import StillBackground
 from wibam_core.detection.boxes import Found
 from wibam_core.detection.refine import EdgeRefiner
+from wibam_core.geometry.boxes2d import clipped_to_image, sides_px
 
 FloatArray = NDArray[np.float64]
 
@@ -50,8 +51,8 @@ class SecondLook:
             boxes: (N, 4) xyxy of vehicles in it, px; what is not finite or out of the image is not looked at.
         """
         height, width = image.shape[:2]
-        inside = np.clip(np.nan_to_num(boxes), -0.5, np.array([width, height, width, height]) - 0.5)
-        sound = np.isfinite(boxes).all(axis=1) & ((inside[:, 2:] - inside[:, :2]) >= _LEAST_SIDE_PX).all(axis=1)
+        inside = clipped_to_image(np.nan_to_num(boxes), width, height)
+        sound = np.isfinite(boxes).all(axis=1) & (sides_px(inside) >= _LEAST_SIDE_PX).all(axis=1)
         px, sd_px = inside, np.full(inside.shape, np.inf)
         if sound.any():
             alike = np.zeros(int(sound.sum()))

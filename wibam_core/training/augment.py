@@ -8,6 +8,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from wibam_core.geometry.boxes2d import areas_px2, clipped_to_image
 from wibam_core.geometry.camera import Camera
 from wibam_core.geometry.se3 import SE3, normalise_angle
 from wibam_core.training.views import FloatArray, LabelledView
@@ -89,13 +90,13 @@ def rewarp(view: LabelledView, camera: Camera, fill: tuple[int, int, int]) -> La
     size = (camera.width_px, camera.height_px)
     image = cv2.warpPerspective(view.image, H, size, flags=cv2.INTER_LINEAR, borderValue=fill)
     whole = _warp_boxes(H, view.boxes2d)
-    inside = _clip_boxes(whole, camera)
-    share = _areas(inside) / np.maximum(_areas(whole), 1e-9)
+    inside = clipped_to_image(whole, camera.width_px, camera.height_px)
+    share = areas_px2(inside) / np.maximum(areas_px2(whole), 1e-9)
     in_front = ~np.isnan(whole[:, 0])
     kept = in_front & (share >= _MIN_KEPT_SHARE)
     cut = in_front & ~kept & (share > 0.02)
     ignored = _warp_boxes(H, view.ignored)
-    ignored = _clip_boxes(ignored[~np.isnan(ignored[:, 0])], camera)
+    ignored = clipped_to_image(ignored[~np.isnan(ignored[:, 0])], camera.width_px, camera.height_px)
     return LabelledView(
         np.asarray(image, dtype=np.uint8),
         camera,
@@ -136,15 +137,6 @@ def _warp_boxes(H: FloatArray, boxes: FloatArray) -> FloatArray:
     uv = warped[..., :2] / np.where(np.abs(depth) < 1e-9, 1e-9, depth)[..., None]
     tight = np.concatenate([uv.min(axis=1), uv.max(axis=1)], axis=1)
     return np.where(in_front[:, None], tight, np.nan)
-
-
-def _clip_boxes(boxes: FloatArray, camera: Camera) -> FloatArray:
-    limits = np.array([camera.width_px, camera.height_px, camera.width_px, camera.height_px]) - 0.5
-    return np.clip(boxes, -0.5, limits)
-
-
-def _areas(boxes: FloatArray) -> FloatArray:
-    return np.clip(boxes[:, 2:] - boxes[:, :2], 0, None).prod(axis=1)
 
 
 def jitter_colour(image: NDArray[np.uint8], rng: np.random.Generator) -> NDArray[np.uint8]:

@@ -11,8 +11,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from wibam_core.detection.boxes import pairwise_iou
 from wibam_core.geometry.box3d import vehicle_to_world
+from wibam_core.geometry.boxes2d import areas_px2, clipped_to_image, image_iou, intersections_px2, sides_px
 from wibam_core.geometry.camera import Camera
 from wibam_core.road_users import BODIES
 from wibam_core.training.views import FloatArray
@@ -58,31 +58,19 @@ def overlooked(
     ahead = depths.min(axis=1, initial=np.inf) > _NEAREST_M
     pixels = np.where(ahead[:, None, None], pixels, 0.0)
     whole = np.concatenate([pixels.min(axis=1), pixels.max(axis=1)], axis=1)
-    size = np.array([camera.width_px, camera.height_px] * 2)
-    shown = np.clip(whole, -0.5, size - 0.5)
-    in_image = ahead & (_sides(shown).min(axis=1, initial=np.inf) > 0)
-    own = pairwise_iou(shown, boxes2d).max(axis=1, initial=0.0) > _SAME_IOU
+    shown = clipped_to_image(whole, camera.width_px, camera.height_px)
+    in_image = ahead & (sides_px(shown).min(axis=1, initial=np.inf) > 0)
+    own = image_iou(shown, boxes2d).max(axis=1, initial=0.0) > _SAME_IOU
     missing = in_image & ~found & ~own
-    clear = _areas(shown) >= _LEAST_SHARE * _areas(whole)
-    clear &= _sides(shown).min(axis=1, initial=np.inf) >= _LEAST_PX
+    clear = areas_px2(shown) >= _LEAST_SHARE * areas_px2(whole)
+    clear &= sides_px(shown).min(axis=1, initial=np.inf) >= _LEAST_PX
     clear &= _covered(shown, depths.mean(axis=1), in_image) <= _HIDDEN_SHARE
     rows = np.flatnonzero(missing & clear)
     return Overlooked(rows, shown[rows], shown[missing & ~clear])
 
 
-def _sides(boxes: FloatArray) -> FloatArray:
-    """(..., 2) width and height of boxes (..., 4)."""
-    return boxes[..., 2:] - boxes[..., :2]
-
-
-def _areas(boxes: FloatArray) -> FloatArray:
-    return np.asarray(np.clip(_sides(boxes), 0, None).prod(axis=-1))
-
-
 def _covered(boxes: FloatArray, depth_m: FloatArray, seen: NDArray[np.bool_]) -> FloatArray:
     """(M,) largest share of each box (M, 4) that the box of one nearer vehicle covers."""
-    low = np.maximum(boxes[:, None, :2], boxes[None, :, :2])
-    high = np.minimum(boxes[:, None, 2:], boxes[None, :, 2:])
-    shared = np.clip(high - low, 0, None).prod(axis=-1) * (depth_m[None] < depth_m[:, None]) * seen[None]
-    share: FloatArray = shared.max(axis=1, initial=0.0) / np.maximum(_areas(boxes), 1e-9)
+    shared = intersections_px2(boxes, boxes) * (depth_m[None] < depth_m[:, None]) * seen[None]
+    share: FloatArray = shared.max(axis=1, initial=0.0) / np.maximum(areas_px2(boxes), 1e-9)
     return share

@@ -14,7 +14,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from wibam_core.geometry.iou import image_iou
+from wibam_core.geometry.boxes2d import image_iou
 from wibam_core.geometry.torch_ops import giou
 from wibam_core.models.detector2d import Detector2D
 from wibam_core.models.export import export_detector2d

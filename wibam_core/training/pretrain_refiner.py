@@ -21,6 +21,7 @@ from torch.utils.data import IterableDataset
 
 from wibam_core.detection.background import UNKNOWN
 from wibam_core.detection.crops import CROP_PX, Window, blob
+from wibam_core.geometry.boxes2d import clipped_to_image
 from wibam_core.models.export import export_refiner2d
 from wibam_core.models.refiner2d import Refiner2D
 from wibam_core.synthetic.sampling import RenderedView
@@ -116,8 +117,7 @@ def jittered(box: FloatArray, size_px: tuple[int, int], rng: np.random.Generator
     if rng.random() < _FAR_OFF:
         edge = int(rng.integers(4))
         off[edge] = rng.uniform(-_FAR_SHARE, _FAR_SHARE) * sides[edge]
-    limits = np.tile(np.array(size_px, np.float64), 2) - 0.5
-    moved = np.clip(box + off, -0.5, limits)
+    moved = clipped_to_image(box + off, *size_px)
     return np.concatenate([np.minimum(moved[:2], moved[2:] - 2), moved[2:]])
 
 

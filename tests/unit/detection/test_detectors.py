@@ -10,11 +10,11 @@ import onnx
 import pytest
 from onnx import TensorProto, helper, numpy_helper
 
-from wibam_core.detection.boxes import pairwise_iou
 from wibam_core.detection.centre import CentreDetector
 from wibam_core.detection.detector import load_detector
 from wibam_core.detection.yolox import YoloxDetector, letterbox
 from wibam_core.errors import InvalidWeights
+from wibam_core.geometry.boxes2d import image_iou
 from wibam_core.road_users import CLASSES
 from wibam_core.video.decode import decode
 
@@ -220,4 +220,4 @@ def test_real_yolox_finds_the_cars_of_a_real_frame(assets: Path) -> None:
     found = detector.detect(frame)
     # read off the picture by eye: xyxy of four whole or nearly whole cars
     cars = np.array([[141, 146, 280, 206], [349, 217, 507, 296], [540, 144, 637, 203], [0, 213, 81, 274]])
-    assert pairwise_iou(cars.astype(float), found.boxes).max(axis=1).min() > 0.8
+    assert image_iou(cars.astype(float), found.boxes).max(axis=1).min() > 0.8

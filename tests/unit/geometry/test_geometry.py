@@ -16,7 +16,7 @@ from wibam_core.geometry import torch_ops
 from wibam_core.geometry.box3d import Box3D, corners, footprints
 from wibam_core.geometry.camera import Camera
 from wibam_core.geometry.ground import ground_homography, intersect_plane
-from wibam_core.geometry.iou import bev_iou, bev_iou_paired, image_iou, iou_3d, iou_3d_paired
+from wibam_core.geometry.iou import bev_iou, bev_iou_paired, iou_3d, iou_3d_paired
 from wibam_core.geometry.projection import project_boxes
 from wibam_core.geometry.se3 import SE3, normalise_angle
 
@@ -204,7 +204,6 @@ def test_iou_of_touching_and_nested_boxes() -> None:
     above = box + [0, 0, 2, 0, 0, 0, 0]
     np.testing.assert_allclose(bev_iou_paired([box, box], [touching, nested]), [0, 0.5], atol=1e-12)
     np.testing.assert_allclose(iou_3d_paired([box], [above]), 0, atol=1e-12)
-    np.testing.assert_allclose(image_iou([[0, 0, 2, 2]], [[1, 0, 3, 2], [5, 5, 6, 6]]), [[1 / 3, 0]])
 
 
 # --- projection --------------------------------------------------------------------------------

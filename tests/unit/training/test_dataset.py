@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from tests.site_dataset import LATENESS_NS, PERIOD_NS, TinySite, boxes_at, tiny_site, without_detection
-from wibam_core.detection.boxes import pairwise_iou
 from wibam_core.geometry.box3d import corners
+from wibam_core.geometry.boxes2d import image_iou
 from wibam_core.models.inference import prepare_image
 from wibam_core.models.small import INPUT_WIDTH_PX
 from wibam_core.models.trunk import INPUT_MULTIPLE
@@ -82,7 +82,7 @@ def test_what_one_camera_overlooked_is_labelled_by_the_fits(site: TinySite) -> N
         np.testing.assert_array_equal(view.labels.classes, before.labels.classes[order])
         np.testing.assert_array_equal(view.labels.confidence, before.labels.confidence[order])
         np.testing.assert_array_equal(view.labels.front_known, before.labels.front_known[order])
-        assert pairwise_iou(view.labels.boxes2d, before.labels.boxes2d[order]).diagonal().min() > 0.7
+        assert image_iou(view.labels.boxes2d, before.labels.boxes2d[order]).diagonal().min() > 0.7
         assert len(view.labels.ignored) == 0
         if view.camera_id == "east":
             assert set(view.other_vehicle.tolist()) == {0}  # the published loss knows vehicles by detections alone

@@ -4,7 +4,7 @@ import numpy as np
 
 from tests.builders import look_at
 from tests.labelled_views import tight_boxes
-from wibam_core.detection.boxes import pairwise_iou
+from wibam_core.geometry.boxes2d import image_iou
 from wibam_core.training.overlooked import Overlooked, overlooked
 
 #: 20 m from the origin, which it looks at.
@@ -28,7 +28,7 @@ def cuboid_box(vehicle: list[float]) -> np.ndarray:
 def test_a_vehicle_without_a_box_is_seen_where_it_is() -> None:
     result = seen(CAR)
     assert result.rows.tolist() == [0] and len(result.unsure) == 0
-    assert pairwise_iou(result.boxes2d, cuboid_box(CAR))[0, 0] > 0.7
+    assert image_iou(result.boxes2d, cuboid_box(CAR))[0, 0] > 0.7
 
 
 def test_nothing_is_overlooked_where_the_vehicle_has_a_box_or_there_is_one_that_may_be_its_own() -> None:
@@ -41,7 +41,7 @@ def test_the_box_of_a_vehicle_that_the_border_cuts_ends_there() -> None:
     result = seen(CAR, CUT)
     assert result.rows.tolist() == [0, 1]
     assert result.boxes2d[1, 0] == -0.5 < 20 < result.boxes2d[1, 2]
-    assert pairwise_iou(result.boxes2d[1:], cuboid_box(CUT))[0, 0] > 0.7
+    assert image_iou(result.boxes2d[1:], cuboid_box(CUT))[0, 0] > 0.7
 
 
 def test_a_vehicle_of_which_little_is_in_the_image_is_not_judged() -> None:
@@ -55,7 +55,7 @@ def test_a_vehicle_behind_a_nearer_one_is_not_judged_whether_that_was_found_or_n
     for found, rows in (((), [1]), ((1,), [])):
         result = seen(CAR, truck, found=found)
         assert result.rows.tolist() == rows
-        assert len(result.unsure) == 1 and pairwise_iou(result.unsure, cuboid_box(CAR))[0, 0] > 0.7
+        assert len(result.unsure) == 1 and image_iou(result.unsure, cuboid_box(CAR))[0, 0] > 0.7
     behind = [-9.0, 0.0, 1.6, 7.0, 2.5, 3.2, 1.5708]
     assert seen(CAR, behind, found=(1,)).rows.tolist() == [0]
 
