@@ -7,7 +7,8 @@ units and frames. What a format has no place for is left out on writing, and sai
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+import re
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from enum import StrEnum
 from pathlib import Path
@@ -27,6 +28,7 @@ class Part(StrEnum):
     BOXES_3D = "boxes_3d"
     TRACKS = "tracks"
     LABELS = "labels"
+    FRAMES = "frames"
 
 
 @dataclass(frozen=True, eq=False)
@@ -41,7 +43,9 @@ class Content:
         tracks: road users over time.
         labels: boxes made by hand, or true ones.
         images: (camera id, frame time in ns on the reference clock) -> the name of that image elsewhere.
+        jpeg: (camera id, frame time) -> that frame as a JPEG file, in the size of the recording.
         splits: "train", "val", "test" -> instants (ns, reference clock).
+        notes: sentences for a person on what reading decided or left out.
     """
 
     site: Site | None = None
@@ -51,7 +55,9 @@ class Content:
     tracks: Sequence[Track] | None = None
     labels: Sequence[LabelledInstant] | None = None
     images: Mapping[tuple[str, int], str] = field(default_factory=lambda: MappingProxyType({}))
+    jpeg: Callable[[str, int], bytes] | None = None
     splits: Mapping[str, Sequence[int]] = field(default_factory=lambda: MappingProxyType({}))
+    notes: tuple[str, ...] = ()
 
     @property
     def parts(self) -> frozenset[Part]:
@@ -62,8 +68,30 @@ class Content:
             Part.BOXES_3D: self.boxes_3d,
             Part.TRACKS: self.tracks,
             Part.LABELS: self.labels,
+            Part.FRAMES: self.jpeg,
         }
         return frozenset(part for part, value in there.items() if value is not None)
+
+    def image_name(self, camera_id: str, frame_time_ns: int) -> str:
+        """What a frame is called: as elsewhere, or ``<camera id>/<frame time in ns>.jpg``, see `parse_image_name`."""
+        return self.images.get((camera_id, frame_time_ns), f"{camera_id}/{frame_time_ns}.jpg")
+
+    def size_px(self, camera_id: str) -> tuple[int, int]:
+        """Width and height of a camera's images.
+
+        Raises:
+            InputError: neither the rig nor the site knows the camera.
+        """
+        if self.rig is not None and camera_id in self.rig:
+            return self.rig[camera_id].width_px, self.rig[camera_id].height_px
+        for camera in () if self.site is None else self.site.cameras:
+            if camera.id == camera_id:
+                return camera.width_px, camera.height_px
+        raise InputError(
+            f"the size of camera {camera_id}'s images is not known",
+            hint="Give the site, or the calibration, with all its cameras.",
+            camera=camera_id,
+        )
 
 
 class ExchangeFormat(Protocol):
@@ -114,6 +142,15 @@ class ExchangeFormat(Protocol):
             InputError: it is not of this format, or holds what cannot be: naming the file and the field.
         """
         ...
+
+
+_IMAGE_NAME = re.compile(r"(?:.*/)?(?P<camera>[A-Za-z0-9][A-Za-z0-9_-]{0,63})/(?P<time>\d{1,18})\.[A-Za-z]{1,5}")
+
+
+def parse_image_name(name: str) -> tuple[str, int] | None:
+    """Camera id and frame time (ns) of a name that `Content.image_name` made; None of any other."""
+    found = _IMAGE_NAME.fullmatch(name)
+    return None if found is None else (found["camera"], int(found["time"]))
 
 
 def require_parts(fmt: ExchangeFormat, content: Content) -> None:

@@ -7,8 +7,9 @@ from types import MappingProxyType
 
 from wibam_core.errors import NotFound
 from wibam_core.exchange.base import ExchangeFormat
+from wibam_core.exchange.coco import Coco
 
-_FORMATS: tuple[ExchangeFormat, ...] = ()
+_FORMATS: tuple[ExchangeFormat, ...] = (Coco(),)
 
 #: By name.
 FORMATS: Mapping[str, ExchangeFormat] = MappingProxyType({fmt.name: fmt for fmt in _FORMATS})
