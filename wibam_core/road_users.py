@@ -57,6 +57,8 @@ class NamesElsewhere:
         kitti: among the types of KITTI's object labels (Geiger et al. 2012).
         openlabel: among the object types of the TUM Traffic data sets, which follow ASAM OpenLABEL (Zimmer et al. 2023,
             arXiv 2306.09266).
+        levelx: among the classes of inD and rounD (Bock et al. 2020, arXiv 1911.07602; Krajewski et al. 2020).
+        opentrafficcam: among the road users that OpenTrafficCam counts.
         sumo: the abstract vehicle class (vClass) of SUMO that it is simulated as (Lopez et al. 2018).
     """
 
@@ -64,6 +66,8 @@ class NamesElsewhere:
     nuscenes: ForeignName
     kitti: ForeignName
     openlabel: ForeignName
+    levelx: ForeignName
+    opentrafficcam: str
     sumo: str
 
 
@@ -151,6 +155,8 @@ class RoadUserClass(StrEnum):
                 nuscenes=_same("car"),
                 kitti=_same("Car"),
                 openlabel=_same("CAR"),
+                levelx=_same("car"),
+                opentrafficcam="car",
                 sumo="passenger",
             ),
         ),
@@ -173,6 +179,8 @@ class RoadUserClass(StrEnum):
                 nuscenes=ForeignName("car"),
                 kitti=_same("Van"),
                 openlabel=_same("VAN"),
+                levelx=_same("van"),
+                opentrafficcam="delivery_van",
                 sumo="delivery",
             ),
         ),
@@ -195,6 +203,8 @@ class RoadUserClass(StrEnum):
                 nuscenes=_same("truck", "construction_vehicle"),
                 kitti=_same("Truck"),
                 openlabel=_same("TRUCK"),
+                levelx=_same("truck", "truck_bus"),
+                opentrafficcam="truck",
                 sumo="truck",
             ),
         ),
@@ -217,6 +227,8 @@ class RoadUserClass(StrEnum):
                 nuscenes=_same("bus"),
                 kitti=ForeignName("Misc"),
                 openlabel=_same("BUS"),
+                levelx=_same("bus"),
+                opentrafficcam="bus",
                 sumo="bus",
             ),
         ),
