@@ -8,10 +8,11 @@ from pathlib import Path
 import pytest
 from hypothesis import settings
 
-#: Property tests look at other examples in every run, but always at the same ones where a change is judged.
-settings.register_profile("ci", derandomize=True)
-if os.environ.get("CI"):
-    settings.load_profile("ci")
+#: Property tests look at other examples in every run, but always at the same ones where a change is judged. How long an
+#: example takes says how busy the machine is.
+settings.register_profile("local", deadline=None)
+settings.register_profile("ci", derandomize=True, deadline=None)
+settings.load_profile("ci" if os.environ.get("CI") else "local")
 
 #: Tests talk to this machine alone, whatever proxy the environment names.
 for _name in ("http_proxy", "https_proxy", "all_proxy"):

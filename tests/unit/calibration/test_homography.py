@@ -32,7 +32,7 @@ def world_of(ground):
     return np.concatenate([ground, np.zeros((len(ground), 1))], axis=1)
 
 
-@settings(max_examples=30, deadline=None)
+@settings(max_examples=30)
 @given(camera=cameras)
 def test_exact_points_give_the_ground_homography(camera):
     pixels, _ = camera.project(world_of(GROUND))
@@ -41,7 +41,7 @@ def test_exact_points_give_the_ground_homography(camera):
     np.testing.assert_allclose(H, expected / np.linalg.norm(expected), atol=1e-8)
 
 
-@settings(max_examples=30, deadline=None)
+@settings(max_examples=30)
 @given(camera=cameras)
 def test_camera_comes_back_from_its_homography(camera):
     found = camera_from_homography(ground_homography(camera), np.zeros(2), camera.width_px, camera.height_px)
@@ -49,7 +49,7 @@ def test_camera_comes_back_from_its_homography(camera):
     np.testing.assert_allclose(found.T_world_cam.matrix, camera.T_world_cam.matrix, atol=1e-6)
 
 
-@settings(max_examples=30, deadline=None)
+@settings(max_examples=30)
 @given(scale=st.floats(1e-3, 1e3), shift=st.floats(-1e5, 1e5), turn=st.floats(0, 6.28), camera=cameras)
 def test_the_fit_does_not_depend_on_where_the_origin_is(scale, shift, turn, camera):
     pixels, _ = camera.project(world_of(GROUND))

@@ -19,7 +19,7 @@ def angle_deg(one, two):
     return np.degrees(np.arccos(np.clip(cosine, -1, 1)))
 
 
-@settings(max_examples=25, deadline=None)
+@settings(max_examples=25)
 @given(
     azimuth=st.floats(0, 6.28),
     height=st.floats(4, 14),

@@ -71,7 +71,7 @@ def polygon(b: np.ndarray) -> Polygon:
     return Polygon(footprints(b))
 
 
-@settings(max_examples=150, deadline=None)
+@settings(max_examples=150)
 @given(state, state)
 def test_shapely_agrees_that_they_are_apart_until_the_contact_and_touch_at_it(p: tuple, q: tuple) -> None:
     (a, va), (b, vb) = unpack(p), unpack(q)
@@ -87,7 +87,7 @@ def test_shapely_agrees_that_they_are_apart_until_the_contact_and_touch_at_it(p:
         assert min(moving(t) for t in np.linspace(0, 10, 50)) > 0 or np.allclose(va, vb)
 
 
-@settings(max_examples=100, deadline=None)
+@settings(max_examples=100)
 @given(state, state)
 def test_law_symmetric_in_the_pair(p: tuple, q: tuple) -> None:
     (a, va), (b, vb) = unpack(p), unpack(q)
@@ -100,7 +100,7 @@ def grazes(a: np.ndarray, va: np.ndarray, b: np.ndarray, vb: np.ndarray) -> bool
     return len({bool(contact_interval(a + h, va, b + h, vb)[0] == np.inf) for h in (-hair, 0 * hair, hair)}) > 1
 
 
-@settings(max_examples=100, deadline=None)
+@settings(max_examples=100)
 @given(state, state, angle, coordinate, coordinate)
 def test_law_invariant_under_rigid_motion_and_common_velocity(
     p: tuple, q: tuple, turn: float, x: float, y: float

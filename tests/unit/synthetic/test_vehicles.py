@@ -20,7 +20,7 @@ def model_of(seed: int, vehicle_class: RoadUserClass | None = None) -> VehicleMo
 
 
 @given(seeds, st.sampled_from(CLASSES))
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=40)
 def test_extent_is_exactly_the_size(seed: int, vehicle_class: RoadUserClass) -> None:
     model = model_of(seed, vehicle_class)
     points = vehicle_mesh(model).points
@@ -29,7 +29,7 @@ def test_extent_is_exactly_the_size(seed: int, vehicle_class: RoadUserClass) -> 
 
 
 @given(seeds, st.sampled_from(CLASSES))
-@settings(max_examples=20, deadline=None)
+@settings(max_examples=20)
 def test_faces_look_outward(seed: int, vehicle_class: RoadUserClass) -> None:
     mesh = vehicle_mesh(model_of(seed, vehicle_class))
     for part in mesh.parts:
@@ -39,7 +39,7 @@ def test_faces_look_outward(seed: int, vehicle_class: RoadUserClass) -> None:
 
 
 @given(seeds, st.sampled_from([RoadUserClass.CAR, RoadUserClass.VAN, RoadUserClass.BUS]))
-@settings(max_examples=20, deadline=None)
+@settings(max_examples=20)
 def test_bodies_are_tapered(seed: int, vehicle_class: RoadUserClass) -> None:
     """The roof is narrower and shorter than the body: no top corner of the box is reached, by far."""
     model = model_of(seed, vehicle_class)

@@ -49,7 +49,7 @@ def test_mirroring_twice_changes_nothing() -> None:
     np.testing.assert_array_equal(again.image, view.image)
 
 
-@settings(max_examples=25, deadline=None)
+@settings(max_examples=25)
 @given(
     down=st.floats(-0.1, 0.3),
     left=st.floats(-0.15, 0.15),

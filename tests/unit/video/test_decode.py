@@ -54,7 +54,7 @@ def test_several_threads_give_the_same_frames(recording: tuple[Path, list[int]])
         assert np.array_equal(a, b)
 
 
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=40)
 @given(
     targets=st.lists(st.integers(0, 3 * 10**9), min_size=1, max_size=30).map(sorted),
     tolerance_ns=st.integers(0, 200_000_000),
