@@ -47,22 +47,21 @@ class StageSpec:
     Attributes:
         name: of the module in `wibam_core.stages`, of the options in `PipelineConfig`, and of the output folder.
         requires: stages whose outputs it reads.
-        code: files and packages (relative to wibam_core/) whose change changes its outputs.
         site_part: what of the site description it depends on.
         reads_recordings: whether it opens the uploaded videos.
         assets: other uploaded files that it reads where there are any, and options do not say otherwise.
-        only_checks_assets: whether those can make it fail, but change nothing that it writes.
+        asset_checks: modules of wibam_core that it only checks assets with: both can make it fail, but change nothing
+            that it writes.
         title: what it does, for a person.
     """
 
     name: str
     title: str
     requires: tuple[str, ...] = ()
-    code: tuple[str, ...] = ()
     site_part: Callable[[Site], Any] = _nothing
     reads_recordings: bool = False
     assets: tuple[str, ...] = ()
-    only_checks_assets: bool = False
+    asset_checks: frozenset[str] = frozenset()
 
     def config(self, config: PipelineConfig) -> StageConfig:
         """This stage's part of the options."""
@@ -79,55 +78,32 @@ _SPECS = (
     StageSpec(
         "preflight",
         "Check the recordings",
-        (),
-        ("video",),
-        _sizes,
+        site_part=_sizes,
         reads_recordings=True,
         assets=("labels", "network"),
-        only_checks_assets=True,
+        asset_checks=frozenset({"formats.labels", "models.weights"}),
     ),
-    StageSpec("sync", "Synchronise the cameras", ("preflight",), ("sync", "video"), _signals, reads_recordings=True),
-    StageSpec("calibrate", "Calibrate the cameras", ("preflight",), ("calibration",), _calibration),
-    StageSpec("frames", "Read the frames", ("preflight", "sync"), ("video",), _sizes, reads_recordings=True),
-    StageSpec(
-        "detect",
-        "Detect vehicles in 2D",
-        ("frames",),
-        ("detection", "models/bundled/detector2d.onnx", "models/bundled/refiner2d.onnx", "stages/edges.py"),
-        assets=("detector",),
-    ),
-    StageSpec("associate", "Associate views and link over time", ("calibrate", "detect"), ("association",)),
-    StageSpec("dataset", "Split in time", ("calibrate", "associate"), ("dataset",)),
-    StageSpec("lift", "Fit 7DoF boxes to all views", ("calibrate", "associate", "dataset"), ("lifting",)),
+    StageSpec("sync", "Synchronise the cameras", ("preflight",), _signals, reads_recordings=True),
+    StageSpec("calibrate", "Calibrate the cameras", ("preflight",), _calibration),
+    StageSpec("frames", "Read the frames", ("preflight", "sync"), _sizes, reads_recordings=True),
+    StageSpec("detect", "Detect vehicles in 2D", ("frames",), assets=("detector",)),
+    StageSpec("associate", "Associate views and link over time", ("calibrate", "detect")),
+    StageSpec("dataset", "Split in time", ("calibrate", "associate")),
+    StageSpec("lift", "Fit 7DoF boxes to all views", ("calibrate", "associate", "dataset")),
     StageSpec(
         "finetune",
         "Fine-tune the 3D detector",
         ("calibrate", "frames", "associate", "dataset", "lift"),
-        (
-            "models",
-            "training",
-            "dataset/split.py",
-            "dataset/sufficiency.py",
-            "evaluation/matching.py",
-            "evaluation/metrics.py",
-            "evaluation/uncertainty.py",
-        ),
         assets=("network",),
     ),
     StageSpec(
         "evaluate",
         "Evaluate",
         ("calibrate", "frames", "associate", "dataset", "finetune"),
-        ("models", "evaluation", "training/device.py"),
         assets=("labels", "network"),
     ),
-    StageSpec(
-        "track",
-        "Track in 7DoF",
-        ("calibrate", "frames", "finetune"),
-        ("models", "tracking", "evaluation/uncertainty.py", "training/device.py"),
-    ),
-    StageSpec("safety", "Find conflicts", ("track",), ("safety",)),
+    StageSpec("track", "Track in 7DoF", ("calibrate", "frames", "finetune")),
+    StageSpec("safety", "Find conflicts", ("track",)),
     StageSpec(
         "report",
         "Write the report",
@@ -145,7 +121,6 @@ _SPECS = (
             "track",
             "safety",
         ),
-        ("report",),
         _everything,
         assets=("labels",),
     ),
@@ -175,8 +150,8 @@ class PlannedStage:
 def plan(site: Site, config: PipelineConfig, inputs: InputDigests) -> tuple[PlannedStage, ...]:
     """All stages of a job in order, with the addresses of their outputs.
 
-    Assets that a stage only checks belong to its own address, so that new ones are checked, but not to those of the
-    stages after it: new labels train nothing again.
+    Assets that a stage only checks, and what it checks them with, belong to its own address, so that new ones are
+    checked, but not to those of the stages after it: new labels train nothing again.
 
     Raises:
         InputError: the options ask for a network that was not given.
@@ -188,7 +163,7 @@ def plan(site: Site, config: PipelineConfig, inputs: InputDigests) -> tuple[Plan
         upstream = {name: planned[name].digest for name in spec.requires}
         facts = {
             "stage": spec.name,
-            "code": code_digest(spec.name, spec.code),
+            "code": code_digest(spec.name),
             "options": spec.config(config).model_dump(),
             "site": spec.site_part(site),
             "recordings": dict(inputs.recordings) if spec.reads_recordings else None,
@@ -196,7 +171,10 @@ def plan(site: Site, config: PipelineConfig, inputs: InputDigests) -> tuple[Plan
             "upstream": {name: contents[name] for name in spec.requires},
         }
         digest = _digest_of(facts)
-        contents[spec.name] = _digest_of({**facts, "assets": {}}) if spec.only_checks_assets else digest
+        contents[spec.name] = digest
+        if spec.asset_checks:
+            unchecked = {"code": code_digest(spec.name, spec.asset_checks), "assets": {}}
+            contents[spec.name] = _digest_of(facts | unchecked)
         planned[spec.name] = PlannedStage(spec.name, digest, MappingProxyType(upstream))
     return tuple(planned.values())
 

@@ -114,9 +114,9 @@ def test_the_version_of_the_code_is_that_of_every_stage_that_makes_figures(monke
     assert before == code_version() and len(before) == 10
     for changed in ("detect", "lift", "finetune", "evaluate"):
         digest = "benchmarks.learning_rows.code_digest"
-        monkeypatch.setattr(digest, lambda stage, code, c=changed: "x" if stage == c else "y")
+        monkeypatch.setattr(digest, lambda stage, c=changed: "x" if stage == c else "y")
         found = code_version()
-        monkeypatch.setattr(digest, lambda stage, code: "y")
+        monkeypatch.setattr(digest, lambda stage: "y")
         assert found != code_version()
 
 
