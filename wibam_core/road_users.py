@@ -72,6 +72,33 @@ class NamesElsewhere:
 
 
 @dataclass(frozen=True)
+class Driving:
+    """How a class moves that rolls on wheels, the rear ones of which follow its heading (`tracking.driving`).
+
+    Attributes:
+        axle_share: the rear axle lies this share of the length behind the centre. axle_m: that of a usual one.
+        turn_rad_per_m: it turns by about this much per metre that it drives.
+        acceleration_mps2: standard deviation of what is not foreseen, along the heading.
+        curvature_drift: of the path's curvature, 1/m per √s. yaw_drift_rad: of the yaw, per √s.
+        position_drift_m: of the place, per √s.
+        max_curvature: of the tightest turn, 1/m. straightening_s: time constant in which a turn ends.
+        first_speed_sd_mps, first_curvature_sd: of one that was seen once, m/s and 1/m.
+    """
+
+    axle_share: float
+    axle_m: float
+    turn_rad_per_m: float
+    acceleration_mps2: float
+    curvature_drift: float
+    yaw_drift_rad: float
+    position_drift_m: float
+    max_curvature: float
+    straightening_s: float
+    first_speed_sd_mps: float
+    first_curvature_sd: float
+
+
+@dataclass(frozen=True)
 class Traits:
     """What is known of a class of road users.
 
@@ -84,6 +111,7 @@ class Traits:
         plane_height_m: height of the plane on which the ray through the middle of its image box is met: a little below
             the middle of a usual body.
         place_scale: how far a ground point from an image box lies off, as a multiple of a car's.
+        motion: how it moves.
         colour: ``#rrggbb`` in figures, told apart by colour-blind readers.
         elsewhere: its names in other vocabularies.
     """
@@ -93,6 +121,7 @@ class Traits:
     body: Outline
     plane_height_m: float
     place_scale: float
+    motion: Driving
     colour: str
     elsewhere: NamesElsewhere
 
@@ -115,6 +144,22 @@ def _ring(front: float, rear: float, corner: float, half_width: float, inner: fl
 def _pairs(*points: tuple[float, float, float]) -> Outline:
     """Points and their mirror images on the other side."""
     return tuple((x, side * y, z) for x, y, z in points for side in (1.0, -1.0))
+
+
+#: Motor vehicles on four wheels or more. They accelerate by 2 m/s² and turn in 4 m at most.
+_MOTORING = Driving(
+    axle_share=0.27,
+    axle_m=1.26,
+    turn_rad_per_m=0.15,
+    acceleration_mps2=2.0,
+    curvature_drift=0.06,
+    yaw_drift_rad=0.02,
+    position_drift_m=0.05,
+    max_curvature=0.25,
+    straightening_s=2.0,
+    first_speed_sd_mps=8.0,
+    first_curvature_sd=0.05,
+)
 
 
 class RoadUserClass(StrEnum):
@@ -149,6 +194,7 @@ class RoadUserClass(StrEnum):
             ),
             plane_height_m=0.67,
             place_scale=1.0,
+            motion=_MOTORING,
             colour="#0072b2",
             elsewhere=NamesElsewhere(
                 coco=_same("car"),
@@ -173,6 +219,7 @@ class RoadUserClass(StrEnum):
             ),
             plane_height_m=0.97,
             place_scale=1.0,
+            motion=_MOTORING,
             colour="#e69f00",
             elsewhere=NamesElsewhere(
                 coco=ForeignName("car"),
@@ -197,6 +244,7 @@ class RoadUserClass(StrEnum):
             ),
             plane_height_m=1.4,
             place_scale=1.3,
+            motion=_MOTORING,
             colour="#009e73",
             elsewhere=NamesElsewhere(
                 coco=_same("truck"),
@@ -221,6 +269,7 @@ class RoadUserClass(StrEnum):
             ),
             plane_height_m=1.36,
             place_scale=1.6,
+            motion=_MOTORING,
             colour="#cc79a7",
             elsewhere=NamesElsewhere(
                 coco=_same("bus"),

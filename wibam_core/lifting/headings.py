@@ -14,7 +14,8 @@ from numpy.typing import NDArray
 
 from wibam_core.geometry.se3 import normalise_angle
 from wibam_core.lifting.trajectory import Motion, Tracks
-from wibam_core.scene import FloatArray
+from wibam_core.road_users import CLASSES
+from wibam_core.scene import FloatArray, IntArray
 
 #: The way that a course is judged by is made within this many seconds before and after.
 _HALF_WINDOW_S = 1.5
@@ -22,17 +23,15 @@ _HALF_WINDOW_S = 1.5
 #: not looked at.
 _KNOWN_SD_RAD = 0.35
 _USELESS_SD_RAD = 1.2
-#: A vehicle turns by about this much per metre that it drives.
-_TURN_RAD_PER_M = 0.15
+#: (classes,) in the order of `CLASSES`: see `wibam_core.road_users.Driving`.
+_TURN_RAD_PER_M: FloatArray = np.array([c.traits.motion.turn_rad_per_m for c in CLASSES])
+_AXLE_M: FloatArray = np.array([c.traits.motion.axle_m for c in CLASSES])
 #: Variance of a heading before any course was seen, rad².
 _NOTHING_KNOWN = 1e6
 _ROBUST_SD = 2.5
 _ROBUST_PASSES = 2
 #: Courses are never trusted to be better than this (rad): vehicles slip and drift in their lanes.
 _COURSE_FLOOR_RAD = 0.03
-#: Where the rear axle runs behind the centre, in lengths: in a bend the centre's course differs from the heading.
-_REAR_AXLE = 0.28
-_USUAL_LENGTH_M = 4.5
 #: A vehicle slower than this stands, as far as its heading is concerned; a heading that is held is less certain.
 _MOVING_MPS = 1.5
 _HELD_SD_RAD = 0.06
@@ -54,11 +53,12 @@ class _Way:
     speed_mps: FloatArray
 
 
-def headings(tracks: Tracks, motion: Motion, jump_m: float) -> Headings:
+def headings(tracks: Tracks, classes: IntArray, motion: Motion, jump_m: float) -> Headings:
     """Direction of travel where a vehicle moves; where it stands, what it was before and will be after.
 
     Args:
         tracks: M tracks of at most T observations.
+        classes: (M,) of the tracks, indices into `wibam_core.road_users.CLASSES`.
         motion: of them, smoothed.
         jump_m: standard deviation of the places' errors that do not average out over time.
     """
@@ -70,13 +70,13 @@ def headings(tracks: Tracks, motion: Motion, jump_m: float) -> Headings:
     known = (told & (course_sd < _KNOWN_SD_RAD)).any(axis=1)
     noise = np.where(told, course_sd**2 + _COURSE_FLOOR_RAD**2, np.inf)
     step = np.diff(tracks.times_s, axis=1)
-    turn = (_TURN_RAD_PER_M * 0.5 * (way.speed_mps[:, 1:] + way.speed_mps[:, :-1]) * step) ** 2 + 1e-8
+    turn = (_TURN_RAD_PER_M[classes, None] * 0.5 * (way.speed_mps[:, 1:] + way.speed_mps[:, :-1]) * step) ** 2 + 1e-8
     measured = _unwrapped(course, noise, turn)
     yaw, variance = _smoothed(measured, noise, turn)
     for _ in range(_ROBUST_PASSES):
         off = np.where(told, measured - yaw, 0.0)
         yaw, variance = _smoothed(measured, noise + (off / _ROBUST_SD) ** 2, turn)
-    slip = _slip(tracks, yaw, speed)
+    slip = _slip(tracks, _AXLE_M[classes], yaw, speed)
     held = np.where(speed > _MOVING_MPS, 0.0, _HELD_SD_RAD)
     sd = np.sqrt(variance + _COURSE_FLOOR_RAD**2 + slip**2 + held**2)
     return Headings(np.where(known[:, None], yaw, 0.0), np.where(known[:, None], sd, np.inf))
@@ -146,8 +146,9 @@ def _smoothed(measured: FloatArray, noise: FloatArray, turn: FloatArray) -> tupl
     return mean, variance
 
 
-def _slip(tracks: Tracks, yaw: FloatArray, speed: FloatArray) -> FloatArray:
-    """(M, T) how far, in a bend, the course of the centre may be off the heading (rad)."""
+def _slip(tracks: Tracks, axle_m: FloatArray, yaw: FloatArray, speed: FloatArray) -> FloatArray:
+    """(M, T) how far, in a bend, the course of the centre may be off the heading (rad): the rear axle, which runs
+    ``axle_m`` (M,) behind the centre, is what follows the heading."""
     step = np.diff(tracks.times_s, axis=1)
     rate: NDArray[np.float64] = np.zeros_like(yaw)
     if step.shape[1]:
@@ -155,4 +156,4 @@ def _slip(tracks: Tracks, yaw: FloatArray, speed: FloatArray) -> FloatArray:
         rate[:, 1:] += change / 2
         rate[:, :-1] += change / 2
     bend = np.where(speed > _MOVING_MPS, rate / np.maximum(speed, 1e-6), 0.0)
-    return np.asarray(0.5 * np.arctan(_REAR_AXLE * _USUAL_LENGTH_M * bend))
+    return np.asarray(0.5 * np.arctan(axle_m[:, None] * bend))

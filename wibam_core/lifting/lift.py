@@ -26,7 +26,7 @@ from wibam_core.lifting.sizes import size_information, track_sizes
 from wibam_core.lifting.trajectory import Motion, Tracks, smooth
 from wibam_core.progress import Progress, silent
 from wibam_core.road_users import BODIES, LOG_SIZE_MEAN, LOG_SIZE_SD
-from wibam_core.scene import AnnotatedInstant, CameraRig, FloatArray, Vehicles3D
+from wibam_core.scene import AnnotatedInstant, CameraRig, FloatArray, IntArray, Vehicles3D
 
 #: Of a cluster of rays, and of a single ray, m.
 _CLUSTER_SD_M, _RAY_SD_M = 0.7, 3.0
@@ -106,7 +106,7 @@ def lift(
     views = seen.seen.sum(axis=1)
     cluster_sd = np.where(views >= config.min_views, _CLUSTER_SD_M, _RAY_SD_M)
     motion = smooth(tracks, seen.positions, cluster_sd[:, None, None] ** 2 * np.eye(2))
-    yaw, yaw_sd = _headings(tracks, motion, _CLUSTER_JUMP_M, len(seen))
+    yaw, yaw_sd = _headings(tracks, seen.classes, motion, _CLUSTER_JUMP_M)
     prior_mean, prior_sd = LOG_SIZE_MEAN[seen.classes], LOG_SIZE_SD[seen.classes]
 
     progress(0.1, f"fitting {len(seen)} vehicles one by one")
@@ -124,7 +124,7 @@ def lift(
 
     progress(0.5, "combining fits over tracks")
     motion = smooth(tracks, parameters[:, :2], covariance[:, :2, :2])
-    yaw, yaw_sd = _headings(tracks, motion, _FIT_JUMP_M, len(seen))
+    yaw, yaw_sd = _headings(tracks, seen.classes, motion, _FIT_JUMP_M)
     standing = standing_headings(tracks, seen, parameters, covariance, yaw, yaw_sd, heading_hints or {})
     never = ~np.isfinite(yaw_sd)
     yaw, yaw_sd = np.where(never, standing.yaw_rad, yaw), np.where(never, standing.axis_sd_rad, yaw_sd)
@@ -175,9 +175,10 @@ def _worth_fitting(seen: Observations, min_views: int) -> Observations:
     return seen.where(linked & ((seen.seen.sum(axis=1) >= min_views) | (count[seen.tracks] >= _SIGHTINGS_TO_FIT)))
 
 
-def _headings(tracks: Tracks, motion: Motion, jump_m: float, count: int) -> tuple[FloatArray, FloatArray]:
-    """Yaw (N,) by motion and its s.d., infinite where the vehicle never moves."""
-    found = headings(tracks, motion, jump_m)
+def _headings(tracks: Tracks, classes: IntArray, motion: Motion, jump_m: float) -> tuple[FloatArray, FloatArray]:
+    """Yaw (N,) by motion and its s.d., infinite where the vehicle never moves. ``classes`` (N,) are a track's own."""
+    count = len(classes)
+    found = headings(tracks, classes[tracks.rows[:, 0]], motion, jump_m)
     return tracks.scatter(found.yaw_rad, np.zeros(count)), tracks.scatter(found.sd_rad, np.full(count, np.inf))
 
 

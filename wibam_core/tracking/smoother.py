@@ -9,23 +9,23 @@ import numpy as np
 from numpy.typing import NDArray
 
 from wibam_core.geometry.se3 import normalise_angle
-from wibam_core.tracking.motion import YAW, Belief, Measurement, first_belief, predict, update
+from wibam_core.tracking.motion import STATES, YAW, Belief, Measurement, MotionModel, update
 
 
-def smooth(times_ns: NDArray[np.int64], measurements: Mapping[int, Measurement], axle_m: float) -> list[Belief]:
+def smooth(model: MotionModel, times_ns: NDArray[np.int64], measurements: Mapping[int, Measurement]) -> list[Belief]:
     """Smoothed beliefs at ``times_ns`` (ascending), the first of which was measured.
 
     Args:
+        model: how the road user moves.
         times_ns: instants; those without a measurement are bridged.
         measurements: by instant.
-        axle_m: from the rear axle to the centre.
     """
-    belief = first_belief(measurements[int(times_ns[0])], axle_m)
-    filtered, predicted, steps = [belief], [belief], [np.eye(5)]
+    belief = model.first_belief(measurements[int(times_ns[0])])
+    filtered, predicted, steps = [belief], [belief], [np.eye(STATES)]
     for before, now in pairwise(times_ns):
-        expected, F = predict(belief, float(now - before) * 1e-9)
+        expected, F = model.predict(belief, float(now - before) * 1e-9)
         measurement = measurements.get(int(now))
-        belief = expected if measurement is None else update(expected, measurement, axle_m)
+        belief = expected if measurement is None else update(model, expected, measurement)
         filtered.append(belief)
         predicted.append(expected)
         steps.append(F)

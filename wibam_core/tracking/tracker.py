@@ -11,20 +11,11 @@ from scipy.optimize import linear_sum_assignment
 
 from wibam_core.config import TrackConfig
 from wibam_core.geometry.iou import bev_iou
+from wibam_core.road_users import CLASSES
 from wibam_core.scene import Track, Vehicles3D
 from wibam_core.tracking.fusion import Fused, fuse, ground_distance
-from wibam_core.tracking.motion import (
-    AXLE_SHARE,
-    SPEED,
-    YAW,
-    Belief,
-    Measurement,
-    centre,
-    first_belief,
-    innovation,
-    predict,
-    update,
-)
+from wibam_core.tracking.models import model_of
+from wibam_core.tracking.motion import Belief, Measurement, MotionModel, innovation, update
 from wibam_core.tracking.trajectory import Hit, to_track
 
 Array = NDArray[np.float64]
@@ -44,19 +35,20 @@ _MAX_SPEED_SD = 10.0
 
 @dataclass(eq=False)
 class _Candidate:
-    """A vehicle being tracked."""
+    """A road user being tracked, of the class that most of what was seen of it votes for."""
 
     belief: Belief
     time_ns: int
     box: Array
+    votes: Array
     hits: list[Hit] = field(default_factory=list)
 
     @property
-    def axle_m(self) -> float:
-        return AXLE_SHARE * float(self.box[3])
+    def model(self) -> MotionModel:
+        return model_of(CLASSES[int(np.argmax(self.votes))], float(self.box[3]))
 
     def at(self, time_ns: int) -> Belief:
-        return predict(self.belief, (time_ns - self.time_ns) * 1e-9)[0]
+        return self.model.predict(self.belief, (time_ns - self.time_ns) * 1e-9)[0]
 
 
 class Tracker:
@@ -129,13 +121,13 @@ class Tracker:
         for row, column in enumerate(nearest):
             mean = expected[column].mean
             if distance[row, column] <= self._config.gate_m and len(self._active[column].hits) > 1:
-                boxes[row, :2] += late_s * mean[SPEED] * np.array([np.cos(mean[YAW]), np.sin(mean[YAW])])
+                boxes[row, :2] += late_s * self._active[column].model.travel(mean)[0]
         return replace(found, time_ns=time_ns, boxes=boxes)
 
     def _expected_boxes(self, expected: Sequence[Belief]) -> Array:
         boxes = np.array([c.box for c in self._active]).reshape(-1, 7)
         for row, (candidate, belief) in enumerate(zip(self._active, expected, strict=True)):
-            boxes[row, [0, 1, 6]] = centre(belief, candidate.axle_m)[0]
+            boxes[row, [0, 1, 6]] = candidate.model.centre(belief)[0]
         return boxes
 
     def _assign(self, time_ns: int, fused: Fused, expected: Sequence[Belief]) -> dict[int, int]:
@@ -145,10 +137,11 @@ class Tracker:
         cost = np.full((len(expected), len(fused)), np.inf)
         ground = ground_distance(self._expected_boxes(expected), fused.boxes)
         for row, (candidate, belief) in enumerate(zip(self._active, expected, strict=True)):
+            model = candidate.model
             dt_s = (time_ns - candidate.time_ns) * 1e-9
-            gate = self._config.gate_m + dt_s * min(float(np.sqrt(belief.covariance[SPEED, SPEED])), _MAX_SPEED_SD)
+            gate = self._config.gate_m + dt_s * min(model.speed_sd(belief), _MAX_SPEED_SD)
             for column in np.flatnonzero(ground[row] <= gate):
-                difference, S, _ = innovation(belief, _measurement(time_ns, fused, int(column)), candidate.axle_m)
+                difference, S, _ = innovation(model, belief, _measurement(time_ns, fused, int(column)))
                 distance = float(difference @ np.linalg.solve(S, difference))
                 if distance <= _MAX_DISTANCE:
                     cost[row, column] = distance + float(np.log(np.linalg.det(S)))
@@ -161,9 +154,10 @@ class Tracker:
         return assigned
 
     def _update(self, candidate: _Candidate, expected: Belief, time_ns: int, fused: Fused, column: int) -> None:
-        candidate.belief = update(expected, _measurement(time_ns, fused, column), candidate.axle_m)
+        candidate.belief = update(candidate.model, expected, _measurement(time_ns, fused, column))
         candidate.time_ns = time_ns
         candidate.hits.append(_hit(time_ns, fused, column))
+        candidate.votes = candidate.votes + fused.votes[column]
         sizes = np.array([hit.box[3:6] for hit in candidate.hits[-15:]])
         candidate.box = np.concatenate([fused.boxes[column, :3], np.median(sizes, axis=0), fused.boxes[column, 6:]])
 
@@ -175,8 +169,9 @@ class Tracker:
             if column in taken or (bev_iou(box[None], present) > _DUPLICATE_IOU).any():
                 continue
             present = np.concatenate([present, box[None]])
-            belief = first_belief(_measurement(time_ns, fused, column), AXLE_SHARE * float(box[3]))
-            self._active.append(_Candidate(belief, time_ns, box, [_hit(time_ns, fused, column)]))
+            road_user = CLASSES[int(np.argmax(fused.votes[column]))]
+            belief = model_of(road_user, float(box[3])).first_belief(_measurement(time_ns, fused, column))
+            self._active.append(_Candidate(belief, time_ns, box, fused.votes[column], [_hit(time_ns, fused, column)]))
 
 
 def _measurement(time_ns: int, fused: Fused, column: int) -> Measurement:

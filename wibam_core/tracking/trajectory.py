@@ -12,7 +12,8 @@ from wibam_core.geometry.se3 import normalise_angle
 from wibam_core.road_users import CLASSES
 from wibam_core.scene import Track
 from wibam_core.tracking.fusion import SD_FLOOR
-from wibam_core.tracking.motion import AXLE_SHARE, CURVATURE, SPEED, YAW, Belief, Measurement, centre
+from wibam_core.tracking.models import model_of
+from wibam_core.tracking.motion import YAW, Belief, Measurement, MotionModel
 from wibam_core.tracking.smoother import smooth
 
 Array = NDArray[np.float64]
@@ -46,44 +47,26 @@ def to_track(track_id: int, hits: Sequence[Hit], instants: NDArray[np.int64]) ->
     one that hardly moved, where most views saw it.
     """
     size, size_sd = _size(hits)
-    axle_m = AXLE_SHARE * float(size[0])
+    road_user = CLASSES[int(np.argmax(np.sum([hit.votes for hit in hits], axis=0)))]
+    model = model_of(road_user, float(size[0]))
     times = instants[(instants >= hits[0].time_ns) & (instants <= hits[-1].time_ns)]
     measured = {hit.time_ns: Measurement(hit.time_ns, hit.box[[0, 1, 6]], hit.sd[[0, 1, 6]]) for hit in hits}
-    beliefs = smooth(times, measured, axle_m)
-    if _is_reversed(beliefs, times, hits):
+    beliefs = smooth(model, times, measured)
+    if _is_reversed(model, beliefs, times, hits):
         first = measured[int(times[0])]
         turned = np.array([*first.value[:2], beliefs[0].mean[YAW] + np.pi])
-        beliefs = smooth(times, {**measured, first.time_ns: Measurement(first.time_ns, turned, first.sd)}, axle_m)
-    return _assemble(track_id, hits, times, beliefs, size, size_sd, axle_m)
-
-
-def _assemble(
-    track_id: int,
-    hits: Sequence[Hit],
-    times: NDArray[np.int64],
-    beliefs: Sequence[Belief],
-    size: Array,
-    size_sd: Array,
-    axle_m: float,
-) -> Track:
+        beliefs = smooth(model, times, {**measured, first.time_ns: Measurement(first.time_ns, turned, first.sd)})
     n = len(times)
-    means = np.array([belief.mean for belief in beliefs])
     boxes, sd = np.empty((n, 7)), np.empty((n, 7))
+    velocities, yaw_rates = np.empty((n, 2)), np.empty(n)
     for k, belief in enumerate(beliefs):
-        place, H = centre(belief, axle_m)
+        place, H = model.centre(belief)
         covariance = H @ belief.covariance @ H.T
         boxes[k] = [place[0], place[1], size[2] / 2, *size, normalise_angle(place[2])]
         sd[k, [0, 1, 6]] = np.sqrt(_CORRELATION * np.maximum(np.diag(covariance), 0.0))
+        velocities[k], yaw_rates[k] = model.velocity(belief.mean)
     sd[:, 2], sd[:, 3:6] = size_sd[2] / 2, size_sd
-    c, s = np.cos(means[:, YAW]), np.sin(means[:, YAW])
-    yaw_rate = means[:, SPEED] * means[:, CURVATURE]
-    velocities = np.stack(
-        [means[:, SPEED] * c - axle_m * yaw_rate * s, means[:, SPEED] * s + axle_m * yaw_rate * c], axis=1
-    )
-    votes = np.sum([hit.votes for hit in hits], axis=0)
-    return Track(
-        track_id, CLASSES[int(np.argmax(votes))], times, boxes, np.maximum(sd, SD_FLOOR / 3), velocities, yaw_rate
-    )
+    return Track(track_id, road_user, times, boxes, np.maximum(sd, SD_FLOOR / 3), velocities, yaw_rates)
 
 
 def _size(hits: Sequence[Hit]) -> tuple[Array, Array]:
@@ -98,9 +81,9 @@ def _size(hits: Sequence[Hit]) -> tuple[Array, Array]:
     return median, np.hypot(spread / np.sqrt(len(hits)), SD_FLOOR[3:6])
 
 
-def _is_reversed(beliefs: Sequence[Belief], times: NDArray[np.int64], hits: Sequence[Hit]) -> bool:
+def _is_reversed(model: MotionModel, beliefs: Sequence[Belief], times: NDArray[np.int64], hits: Sequence[Hit]) -> bool:
     """Whether the smoothed yaw points to the vehicle's rear."""
-    speeds = np.array([belief.mean[SPEED] for belief in beliefs])
+    speeds = np.array([model.travel(belief.mean)[1] for belief in beliefs])
     driven = float(np.sum(0.5 * (speeds[1:] + speeds[:-1]) * np.diff(times) * 1e-9))
     if abs(driven) >= _MIN_DRIVEN_M:
         return driven < 0

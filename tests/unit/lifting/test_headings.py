@@ -6,14 +6,19 @@ import pytest
 from tests.unit.lifting.driving import drive
 from wibam_core.lifting.headings import Headings, headings
 from wibam_core.lifting.trajectory import Tracks, smooth
+from wibam_core.road_users import RoadUserClass
 
 #: As places of single fits.
 JUMP_M = 0.4
 
 
+def of_cars(tracks: Tracks) -> np.ndarray:
+    return np.full(len(tracks.rows), RoadUserClass.CAR.number)
+
+
 def by_motion(path: np.ndarray, times_s: np.ndarray, noise_m: float = 0.3, seed: int = 0) -> Headings:
     tracks, measured, covariances = drive(path, times_s, noise_m, seed)
-    return headings(tracks, smooth(tracks, measured, covariances), JUMP_M)
+    return headings(tracks, of_cars(tracks), smooth(tracks, measured, covariances), JUMP_M)
 
 
 def off(yaw_rad: np.ndarray, true_rad: np.ndarray | float) -> np.ndarray:
@@ -26,7 +31,7 @@ def test_a_vehicle_that_stops_keeps_its_heading(way: float) -> None:
     along = np.where(times < 4, 8 * times - times**2, 16.0) + np.where(times > 8, 1.0 * (times - 8) ** 2, 0.0)
     path = along[:, None] * [np.cos(way), np.sin(way)]
     tracks, measured, covariances = drive(path, times)
-    found = headings(tracks, smooth(tracks, measured, covariances), JUMP_M)
+    found = headings(tracks, of_cars(tracks), smooth(tracks, measured, covariances), JUMP_M)
     error = np.abs((found.yaw_rad[0] - way + np.pi) % (2 * np.pi) - np.pi)
     assert error.max() < 0.25
     assert (error / found.sd_rad[0]).max() < 3.5
@@ -38,7 +43,7 @@ def test_a_vehicle_that_stops_keeps_its_heading(way: float) -> None:
 def test_a_vehicle_that_never_moves_has_no_heading() -> None:
     times = np.arange(100) * 0.08
     tracks, measured, covariances = drive(np.zeros((100, 2)), times, noise_m=0.5)
-    assert np.isinf(headings(tracks, smooth(tracks, measured, covariances), JUMP_M).sd_rad).all()
+    assert np.isinf(headings(tracks, of_cars(tracks), smooth(tracks, measured, covariances), JUMP_M).sd_rad).all()
 
 
 @pytest.mark.parametrize("first", [True, False])
@@ -78,7 +83,7 @@ def test_tracks_do_not_disturb_each_other_whatever_their_lengths() -> None:
     stamps = np.concatenate([times, times[:1], times[:7]]) * 1e9
     tracks = Tracks.group(np.repeat([0, 1, 2], [40, 1, 7]), stamps.astype(np.int64))
     places, spreads = (np.concatenate([values, values[:1], values[:7]]) for values in (measured, covariances))
-    together = headings(tracks, smooth(tracks, places, spreads), JUMP_M)
+    together = headings(tracks, of_cars(tracks), smooth(tracks, places, spreads), JUMP_M)
     assert np.allclose(together.yaw_rad[0], alone.yaw_rad[0], atol=1e-9)
     assert np.allclose(together.sd_rad[0], alone.sd_rad[0], atol=1e-9)
     assert np.isinf(together.sd_rad[1]).all()  # one place is no motion
@@ -86,5 +91,5 @@ def test_tracks_do_not_disturb_each_other_whatever_their_lengths() -> None:
 
 def test_no_tracks_have_no_headings() -> None:
     tracks = Tracks.group(np.array([-1]), np.array([0]))
-    found = headings(tracks, smooth(tracks, np.zeros((1, 2)), np.ones((1, 2, 2))), JUMP_M)
+    found = headings(tracks, of_cars(tracks), smooth(tracks, np.zeros((1, 2)), np.ones((1, 2, 2))), JUMP_M)
     assert found.yaw_rad.shape == found.sd_rad.shape == (0, 0)

@@ -1,0 +1,77 @@
+"""Laws of the models of motion: each Jacobian is the derivative of its step, and time runs both ways."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from wibam_core.geometry.se3 import normalise_angle
+from wibam_core.road_users import CLASSES, RoadUserClass
+from wibam_core.tracking.models import model_of
+from wibam_core.tracking.motion import STATES, YAW, Belief, Measurement, MotionModel, update
+
+ROAD_USERS = st.sampled_from(CLASSES)
+STATE = st.tuples(
+    st.floats(-50, 50), st.floats(-50, 50), st.floats(-3.1, 3.1), st.floats(-15, 15), st.floats(-0.2, 0.2)
+).map(np.array)
+STEP_S = st.floats(0.02, 1.0)
+
+
+def usual(road_user: RoadUserClass) -> MotionModel:
+    return model_of(road_user, road_user.traits.size.size_m[0])
+
+
+def certain(mean: np.ndarray) -> Belief:
+    return Belief(mean, 1e-4 * np.eye(STATES))
+
+
+def difference(a: np.ndarray, b: np.ndarray) -> np.ndarray:
+    off = a - b
+    off[YAW] = normalise_angle(off[YAW])
+    return off
+
+
+@given(ROAD_USERS, STATE, STEP_S)
+def test_the_jacobian_of_a_step_is_its_derivative(road_user: RoadUserClass, mean: np.ndarray, dt_s: float) -> None:
+    model = usual(road_user)
+    jacobian = model.predict(certain(mean), dt_s)[1]
+    for k in range(STATES):
+        step = 1e-5 * np.eye(STATES)[k]
+        ahead, back = (model.predict(certain(mean + sign * step), dt_s)[0].mean for sign in (1, -1))
+        np.testing.assert_allclose(jacobian[:, k], difference(ahead, back) / 2e-5, atol=1e-4)
+
+
+@given(ROAD_USERS, STATE)
+def test_the_jacobian_of_the_centre_is_its_derivative(road_user: RoadUserClass, mean: np.ndarray) -> None:
+    model = usual(road_user)
+    jacobian = model.centre(certain(mean))[1]
+    for k in range(STATES):
+        step = 1e-5 * np.eye(STATES)[k]
+        ahead, back = (model.centre(certain(mean + sign * step))[0] for sign in (1, -1))
+        np.testing.assert_allclose(jacobian[:, k], (ahead - back) / 2e-5, atol=1e-4)
+
+
+@given(ROAD_USERS, STATE)
+def test_the_velocity_is_what_a_short_step_moves_the_centre_by(road_user: RoadUserClass, mean: np.ndarray) -> None:
+    model = usual(road_user)
+    velocity, yaw_rate = model.velocity(mean)
+    dt_s = 1e-5
+    moved = (model.centre(model.predict(certain(mean), dt_s)[0])[0] - model.centre(certain(mean))[0]) / dt_s
+    np.testing.assert_allclose(velocity, moved[:2], atol=0.01)
+    assert yaw_rate == pytest.approx(moved[2], abs=0.01)
+
+
+@given(ROAD_USERS, STATE, STEP_S)
+def test_uncertainty_grows_with_time_and_shrinks_with_a_measurement(
+    road_user: RoadUserClass, mean: np.ndarray, dt_s: float
+) -> None:
+    model = usual(road_user)
+    first = model.first_belief(Measurement(0, mean[:3], np.array([0.3, 0.3, 0.1])))
+    np.testing.assert_allclose(model.centre(first)[0], mean[:3], atol=1e-9)
+    later = model.predict(first, dt_s)[0]
+    assert np.linalg.eigvalsh(later.covariance).min() > 0
+    assert np.trace(later.covariance[:2, :2]) > np.trace(first.covariance[:2, :2])
+    seen = update(model, later, Measurement(1, model.centre(later)[0], np.array([0.3, 0.3, 0.1])))
+    assert np.trace(seen.covariance[:2, :2]) < np.trace(later.covariance[:2, :2])
