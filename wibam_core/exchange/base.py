@@ -144,7 +144,9 @@ class ExchangeFormat(Protocol):
         ...
 
 
-_IMAGE_NAME = re.compile(r"(?:.*/)?(?P<camera>[A-Za-z0-9][A-Za-z0-9_-]{0,63})/(?P<time>\d{1,18})\.[A-Za-z]{1,5}")
+#: What ids of cameras look like, as `wibam_core.site.CameraId`.
+CAMERA_ID = re.compile(r"[A-Za-z0-9][A-Za-z0-9_-]{0,63}")
+_IMAGE_NAME = re.compile(rf"(?:.*/)?(?P<camera>{CAMERA_ID.pattern})/(?P<time>\d{{1,18}})\.[A-Za-z]{{1,5}}")
 
 
 def parse_image_name(name: str) -> tuple[str, int] | None:

@@ -25,6 +25,7 @@ from wibam_core.exchange.files import read_json, wrong
 from wibam_core.exchange.names import classes_by_name
 from wibam_core.road_users import CLASSES, RoadUserClass
 from wibam_core.scene import AnnotatedInstant, Detections2D, MultiViewVehicle
+from wibam_core.site import CameraId
 
 _FILE = "instances.json"
 #: COCO's category ids of road users.
@@ -43,7 +44,7 @@ class _Image(BaseModel):
 
     id: int
     file_name: str = Field(default="", max_length=1000)
-    camera_id: str | None = Field(default=None, pattern=r"^[A-Za-z0-9][A-Za-z0-9_-]{0,63}$")
+    camera_id: CameraId | None = None
     frame_time_ns: int | None = Field(default=None, ge=-(2**62), le=2**62)
     time_ns: int | None = Field(default=None, ge=-(2**62), le=2**62)
 

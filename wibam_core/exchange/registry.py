@@ -8,8 +8,14 @@ from types import MappingProxyType
 from wibam_core.errors import NotFound
 from wibam_core.exchange.base import ExchangeFormat
 from wibam_core.exchange.coco import Coco
+from wibam_core.exchange.motchallenge import MotChallenge
+from wibam_core.exchange.nuscenes import NuScenesResults
 
-_FORMATS: tuple[ExchangeFormat, ...] = (Coco(),)
+_FORMATS: tuple[ExchangeFormat, ...] = (
+    Coco(),
+    MotChallenge(),
+    NuScenesResults(),
+)
 
 #: By name.
 FORMATS: Mapping[str, ExchangeFormat] = MappingProxyType({fmt.name: fmt for fmt in _FORMATS})
