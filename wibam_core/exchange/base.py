@@ -1,8 +1,9 @@
 """What every exchange format can say of itself and do.
 
-A format is a module of this package with an object that has the attributes and methods of `ExchangeFormat`, and a line
-in `wibam_core.exchange.registry`. It converts between a file or folder and a `Content`: our own nouns, in our own
-units and frames. What a format has no place for is left out on writing, and said in ``loses``.
+A format is a module of this package with an object that has the attributes and methods of `ExchangeFormat`, or of
+`ReadableFormat` where it can be read, and a line in `wibam_core.exchange.registry`. It converts between a file or
+folder and a `Content`: our own nouns, in our own units and frames. What a format has no place for is left out on
+writing, and said in ``loses``.
 """
 
 from __future__ import annotations
@@ -102,7 +103,6 @@ class ExchangeFormat(Protocol):
         title: for a list, e.g. ``"COCO object detection"``.
         writes: the parts that it can hold; those of `needs` must be there to write it.
         needs: the parts without which it cannot be written.
-        reads: the parts that `read` can bring in; empty for a format that is only written.
         loses: one or two sentences: what of our content it has no place for.
     """
 
@@ -119,9 +119,6 @@ class ExchangeFormat(Protocol):
     def needs(self) -> frozenset[Part]: ...
 
     @property
-    def reads(self) -> frozenset[Part]: ...
-
-    @property
     def loses(self) -> str: ...
 
     def write(self, content: Content, folder: Path) -> Sequence[Path]:
@@ -134,6 +131,17 @@ class ExchangeFormat(Protocol):
             InputError: the content cannot be written: a part, or where the site lies on Earth, is missing.
         """
         ...
+
+
+class ReadableFormat(ExchangeFormat, Protocol):
+    """A format that can also be read.
+
+    Attributes:
+        reads: the parts that `read` can bring in.
+    """
+
+    @property
+    def reads(self) -> frozenset[Part]: ...
 
     def read(self, path: Path) -> Content:
         """Read a file or folder.
