@@ -5,7 +5,8 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from types import MappingProxyType
 
-from wibam_core.road_users import CLASSES, ForeignName, NamesElsewhere, RoadUserClass
+from wibam_core.road_users import CLASSES, RoadUserClass
+from wibam_core.traits import ForeignName, NamesElsewhere
 
 #: One vocabulary of the catalogue, e.g. ``lambda names: names.kitti``.
 Vocabulary = Callable[[NamesElsewhere], ForeignName]

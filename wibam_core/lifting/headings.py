@@ -23,7 +23,7 @@ _HALF_WINDOW_S = 1.5
 #: not looked at.
 _KNOWN_SD_RAD = 0.35
 _USELESS_SD_RAD = 1.2
-#: (classes,) in the order of `CLASSES`: see `wibam_core.road_users.Driving`.
+#: (classes,) in the order of `CLASSES`: see `wibam_core.traits.Driving`.
 _TURN_RAD_PER_M: FloatArray = np.array([c.traits.motion.turn_rad_per_m for c in CLASSES])
 _AXLE_M: FloatArray = np.array([c.traits.motion.axle_m for c in CLASSES])
 #: Variance of a heading before any course was seen, rad².

@@ -12,8 +12,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from wibam_core.geometry.se3 import normalise_angle
-from wibam_core.road_users import Driving
 from wibam_core.tracking.motion import STATES, YAW, Array, Belief, Measurement, X, Y
+from wibam_core.traits import Driving
 
 SPEED, CURVATURE = 3, 4
 
