@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import json
 
-import cv2
 import numpy as np
 import onnxruntime
 
 from wibam_core.detection.boxes import Found, Image, IntArray, select
 from wibam_core.errors import InvalidWeights
+from wibam_core.geometry.pixels import resized_height_px, resized_image, resized_px, scale_of
 from wibam_core.road_users import CLASSES
 
 #: What the file's metadata calls this kind of network.
@@ -54,20 +54,18 @@ class CentreDetector:
     def detect(self, image_bgr: Image) -> Found:
         """Vehicles in an image (H, W, 3) uint8, BGR, in its own pixels."""
         height, width = image_bgr.shape[:2]
-        content = max(round(height * INPUT_WIDTH_PX / width), 1)
+        content = resized_height_px(width, height, INPUT_WIDTH_PX)
         padded = content + -content % _HEIGHT_MULTIPLE
-        interpolation = cv2.INTER_AREA if width > INPUT_WIDTH_PX else cv2.INTER_LINEAR
-        image = cv2.resize(image_bgr, (INPUT_WIDTH_PX, content), interpolation=interpolation)
+        image = resized_image(image_bgr, INPUT_WIDTH_PX, content)
         blob = np.zeros((1, 3, padded, INPUT_WIDTH_PX), dtype=np.float32)
         np.divide(image.transpose(2, 0, 1), 255.0, out=blob[0, :, :content], casting="unsafe")
         heat, ltrb = self._session.run(["heat", "ltrb"], {"image": blob})
         numbers, rows, columns = np.nonzero(heat[0] >= self._min_score)
         scores = heat[0, numbers, rows, columns].astype(np.float64)
         sides = STRIDE * ltrb[0, :, rows, columns].astype(np.float64).reshape(-1, 4)
-        centres = (np.stack([columns, rows], axis=1) + 0.5) * STRIDE - 0.5
+        centres = resized_px(np.stack([columns, rows], axis=1), STRIDE)
         boxes = np.concatenate([centres - sides[:, :2], centres + sides[:, 2:]], axis=1)
-        scale = np.array([width / INPUT_WIDTH_PX, height / content] * 2)
-        native = (boxes + 0.5) * scale - 0.5
+        native = resized_px(boxes, scale_of((INPUT_WIDTH_PX, content), (width, height), 4))
         return select(native, scores, self._classes[numbers], (width, height), self._nms_iou)
 
 

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from wibam_core.detection.boxes import FloatArray, Image
+from wibam_core.geometry.pixels import resized_image
 
 #: Sides of the box that a crop shows, and its side in px.
 CONTEXT = 1.5
@@ -55,9 +56,7 @@ def crop(image: Image, window: Window) -> NDArray[np.uint8]:
     margins = (max(-y0, 0), max(y1 - height, 0), max(-x0, 0), max(x1 - width, 0))
     if any(margins):
         inside = cv2.copyMakeBorder(inside, *margins, cv2.BORDER_REPLICATE)
-    shrinks = inside.shape[0] > CROP_PX or inside.shape[1] > CROP_PX
-    resized = cv2.resize(inside, (CROP_PX, CROP_PX), interpolation=cv2.INTER_AREA if shrinks else cv2.INTER_LINEAR)
-    return np.asarray(resized, dtype=np.uint8)
+    return resized_image(np.asarray(inside, dtype=np.uint8), CROP_PX, CROP_PX)
 
 
 def blob(image: Image, still: Image, boxes: FloatArray) -> tuple[NDArray[np.float32], list[Window]]:

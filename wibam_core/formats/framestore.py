@@ -24,6 +24,7 @@ import pyarrow.parquet as pq
 from numpy.typing import NDArray
 
 from wibam_core.errors import InputError
+from wibam_core.geometry.pixels import resized_px, scale_of
 from wibam_core.scene import FrameSet
 
 Image = NDArray[np.uint8]
@@ -222,17 +223,11 @@ class FrameStore:
         Returns:
             The same shape.
         """
-        return self._scaled(camera_id, points, 1.0)
+        return resized_px(points, scale_of(self.size(camera_id), self.native_size(camera_id), points.shape[-1]))
 
     def to_stored_px(self, camera_id: str, points: NDArray[np.float64]) -> NDArray[np.float64]:
         """Pixels of the recording to pixels of stored frames, the inverse of `to_native_px`."""
-        return self._scaled(camera_id, points, -1.0)
-
-    def _scaled(self, camera_id: str, points: NDArray[np.float64], power: float) -> NDArray[np.float64]:
-        size, native = np.array(self.size(camera_id)), np.array(self.native_size(camera_id))
-        points = np.asarray(points, dtype=np.float64)
-        scale = np.tile((native / size) ** power, points.shape[-1] // 2)
-        return (points + 0.5) * scale - 0.5
+        return resized_px(points, scale_of(self.native_size(camera_id), self.size(camera_id), points.shape[-1]))
 
     def _pack(self, camera_id: str) -> mmap.mmap:
         if camera_id not in self._packs:

@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from wibam_core.geometry import distortion
+from wibam_core.geometry.pixels import resized_intrinsics, scale_of
 from wibam_core.geometry.se3 import SE3
 
 Array = NDArray[np.float64]
@@ -73,6 +74,11 @@ class Camera:
         return np.concatenate(
             [np.stack(p, -1) for p in ((xs, top), (xs, np.full(9, h)), (left, ys), (np.full(9, w), ys))]
         )
+
+    @property
+    def size_px(self) -> tuple[int, int]:
+        """Width and height of the image."""
+        return self.width_px, self.height_px
 
     @property
     def has_distortion(self) -> bool:
@@ -155,7 +161,6 @@ class Camera:
             return np.asarray(((pixels >= -0.5) & (pixels < limits)).all(axis=-1))
 
     def resized(self, width_px: int, height_px: int) -> Camera:
-        """The same camera for the image resized to the given size: u maps to (u + 0.5)·s − 0.5."""
-        sx, sy = width_px / self.width_px, height_px / self.height_px
-        scale = np.array([[sx, 0, 0.5 * sx - 0.5], [0, sy, 0.5 * sy - 0.5], [0, 0, 1]])
-        return Camera(scale @ self.K, self.dist, self.T_world_cam, width_px, height_px)
+        """The same camera for the image resized to the given size, see `wibam_core.geometry.pixels`."""
+        scale = scale_of(self.size_px, (width_px, height_px))
+        return Camera(resized_intrinsics(self.K, scale), self.dist, self.T_world_cam, width_px, height_px)

@@ -13,6 +13,7 @@ import torch
 from torch import Tensor
 from torch.nn import functional
 
+from wibam_core.geometry.pixels import resized_px
 from wibam_core.geometry.torch_ops import CameraTensors, rays
 from wibam_core.models.small import REFERENCE_FOCAL_PX, UNCERTAINTY_GROUPS, SmallOutputs
 from wibam_core.models.trunk import STRIDE
@@ -129,12 +130,7 @@ def gather_around(outputs: SmallOutputs, image: Tensor, cells: Tensor, classes: 
 
 def cell_centres_px(cells: Tensor) -> Tensor:
     """Input pixels (N, 2) of (possibly fractional) cells (N, 2)."""
-    return (cells + 0.5) * STRIDE - 0.5
-
-
-def cells_of_px(pixels: Tensor) -> Tensor:
-    """Fractional cells (N, 2) of input pixels (N, 2), the inverse of `cell_centres_px`."""
-    return (pixels + 0.5) / STRIDE - 0.5
+    return resized_px(cells, STRIDE)
 
 
 def boxes2d_px(values: PeakValues) -> Tensor:

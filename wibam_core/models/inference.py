@@ -6,7 +6,6 @@ from collections.abc import Iterable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 
-import cv2
 import numpy as np
 import torch
 from numpy.typing import NDArray
@@ -14,6 +13,7 @@ from torch import Tensor
 
 from wibam_core.geometry.boxes2d import distinct
 from wibam_core.geometry.camera import Camera
+from wibam_core.geometry.pixels import resized_height_px, resized_image, resized_px
 from wibam_core.geometry.torch_ops import CameraTensors
 from wibam_core.models.decode import (
     Decode,
@@ -60,25 +60,17 @@ class Frame:
             raise ValueError(f"a frame needs (H, W, 3) uint8, got {self.image.shape} {self.image.dtype}")
 
 
-def content_height_px(width_px: int, height_px: int, input_width_px: int) -> int:
-    """Height of an image of the given size once it is resized to the network's input width."""
-    return max(1, round(height_px * input_width_px / width_px))
-
-
 def prepare_image(image: NDArray[np.uint8], input_width_px: int = INPUT_WIDTH_PX) -> NDArray[np.uint8]:
     """Resize (H, W, 3) to the input width and pad at the bottom, in black, to a multiple of 32 rows."""
-    height = content_height_px(image.shape[1], image.shape[0], input_width_px)
-    if image.shape[:2] != (height, input_width_px):
-        shrinks = image.shape[1] > input_width_px
-        interpolation = cv2.INTER_AREA if shrinks else cv2.INTER_LINEAR
-        image = np.asarray(cv2.resize(image, (input_width_px, height), interpolation=interpolation), dtype=np.uint8)
+    height = resized_height_px(image.shape[1], image.shape[0], input_width_px)
+    image = resized_image(image, input_width_px, height)
     padding = -height % INPUT_MULTIPLE
     return np.pad(image, ((0, padding), (0, 0), (0, 0))) if padding else image
 
 
 def prepare_camera(camera: Camera, input_width_px: int = INPUT_WIDTH_PX) -> Camera:
     """The camera of the prepared image (its size is the content's, without the padding)."""
-    return camera.resized(input_width_px, content_height_px(camera.width_px, camera.height_px, input_width_px))
+    return camera.resized(input_width_px, resized_height_px(camera.width_px, camera.height_px, input_width_px))
 
 
 def to_input(
@@ -205,13 +197,13 @@ def _edges(look: SecondLook, frames: list[Frame], cameras: CameraTensors, values
     """Edges of the vehicles of a batch after a second look at the frames' own pixels, px of the network's input."""
     native = torch.tensor([frame.image.shape[1::-1] for frame in frames], dtype=torch.float64)
     scale = (native / cameras.size)[values.image].repeat(1, 2)
-    boxes = (boxes2d_px(values) + 0.5) * scale - 0.5
+    boxes = resized_px(boxes2d_px(values), scale)
     counts = values.image.bincount(minlength=len(frames)).tolist()  # peaks come image by image
     with ThreadPoolExecutor(max_workers=torch.get_num_threads()) as pool:
         of_images = (of.numpy() for of in boxes.split(counts))
         seen = list(pool.map(look.edges, (frame.image for frame in frames), of_images))
     px, sd_px = (torch.cat(of) for of in zip(*seen, strict=True))
-    return Edges((px + 0.5) / scale - 0.5, sd_px / scale)
+    return Edges(resized_px(px, 1 / scale), sd_px / scale)
 
 
 def kept_peaks(image: Tensor, boxes: Tensor, boxes2d: Tensor) -> Tensor:

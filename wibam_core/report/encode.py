@@ -11,6 +11,8 @@ import numpy as np
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
+from wibam_core.geometry.pixels import shrunk_image
+
 #: Dots per inch of figures that are stored as pixels: sharp in print at their size in the report.
 RASTER_DPI = 170
 #: Camera images are not stored wider than this.
@@ -34,11 +36,7 @@ def webp_uri(figure: Figure, *, quality: int = 82) -> str:
 
 def jpeg_uri(image: NDArray[np.uint8], *, max_width_px: int = EXAMPLE_WIDTH_PX, quality: int = 84) -> str:
     """An image (H, W, 3), BGR, as JPEG, shrunk to ``max_width_px`` if it is wider."""
-    height, width = image.shape[:2]
-    if width > max_width_px:
-        size = (max_width_px, max(1, round(height * max_width_px / width)))
-        image = np.asarray(cv2.resize(image, size, interpolation=cv2.INTER_AREA), dtype=np.uint8)
-    done, data = cv2.imencode(".jpg", image, [cv2.IMWRITE_JPEG_QUALITY, quality])
+    done, data = cv2.imencode(".jpg", shrunk_image(image, max_width_px), [cv2.IMWRITE_JPEG_QUALITY, quality])
     assert done, "OpenCV refused to encode a JPEG"
     return _uri("image/jpeg", data.tobytes())
 

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from wibam_core.formats.framestore import FrameStore
-from wibam_core.geometry.camera import Camera
+from wibam_core.geometry.pixels import resized_px, scale_of
 from wibam_core.models.inference import prepare_camera, prepare_image
 from wibam_core.models.small import INPUT_WIDTH_PX
 from wibam_core.models.trunk import INPUT_MULTIPLE
@@ -75,15 +75,13 @@ def site_views(
         complete: also label vehicles that were detected in other views alone (`wibam_core.training.overlooked`).
     """
     prepared = {camera_id: prepare_camera(camera, input_width_px) for camera_id, camera in rig.items()}
+    scales = {camera_id: scale_of(rig[camera_id].size_px, camera.size_px, 4) for camera_id, camera in prepared.items()}
     fits = _Fits(lifts)
     views: list[SiteView] = []
     for instant in sorted(instants, key=lambda one: one.time_ns):
         instant, set_aside = _set_aside(instant, left_out_tracks)
         boxes, ignored = (
-            {
-                camera_id: _resize(found[camera_id], rig[camera_id], prepared[camera_id])
-                for camera_id in rig.keys() & found.keys()
-            }
+            {camera_id: resized_px(found[camera_id], scales[camera_id]) for camera_id in rig.keys() & found.keys()}
             for found in ({camera_id: seen.boxes for camera_id, seen in instant.detections.items()}, set_aside)
         )
         for camera_id in rig:
@@ -126,11 +124,6 @@ def _set_aside(instant: AnnotatedInstant, tracks: frozenset[int]) -> tuple[Annot
     detections = {camera_id: seen.where(~out[camera_id]) for camera_id, seen in instant.detections.items()}
     boxes = {camera_id: seen.boxes[out[camera_id]] for camera_id, seen in instant.detections.items()}
     return AnnotatedInstant(instant.time_ns, detections, vehicles), boxes
-
-
-def _resize(boxes: FloatArray, camera: Camera, prepared: Camera) -> FloatArray:
-    scale = np.array([prepared.width_px / camera.width_px, prepared.height_px / camera.height_px] * 2)
-    return np.asarray((boxes + 0.5) * scale - 0.5)
 
 
 def _labels3d(

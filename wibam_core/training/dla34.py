@@ -14,6 +14,7 @@ from torch import Tensor
 
 from wibam_core.config import FinetuneConfig
 from wibam_core.formats.framestore import FrameStore
+from wibam_core.geometry.pixels import resized_px, scale_of
 from wibam_core.models.centertrack import LONG_SIDE_PX, InputWarp, normalised
 from wibam_core.models.dla34 import DLA34
 from wibam_core.training.dataset import SiteView
@@ -72,11 +73,11 @@ def input_view(view: SiteView, frames: FrameStore) -> LabelledView:
     labels = view.labels
     size = frames.size(view.camera_id)
     warp = InputWarp.of(*size, LONG_SIDE_PX)
-    scale = np.array(size) / (labels.camera.width_px, labels.camera.height_px)
+    scale = scale_of(labels.camera.size_px, size)
     matrix = warp.matrix()
 
     def warped(boxes: FloatArray) -> FloatArray:
-        points = (boxes.reshape(-1, 2) + 0.5) * scale - 0.5
+        points = resized_px(boxes.reshape(-1, 2), scale)
         return np.asarray(points * matrix[[0, 1], [0, 1]] + matrix[:2, 2]).reshape(-1, 4)
 
     return replace(

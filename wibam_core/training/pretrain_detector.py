@@ -16,6 +16,7 @@ from torch import Tensor
 
 from wibam_core.geometry.boxes2d import image_iou
 from wibam_core.geometry.torch_ops import giou
+from wibam_core.models.decode import cell_centres_px
 from wibam_core.models.detector2d import Detector2D
 from wibam_core.models.export import export_detector2d
 from wibam_core.models.inference import to_input
@@ -88,7 +89,7 @@ def detect(network: Detector2D, image: np.ndarray) -> FloatArray:
         peak = (torch.nn.functional.max_pool2d(heat[:, None], 3, 1, 1)[:, 0] == heat) & (heat >= _MIN_SCORE)
         _, y, x = peak.nonzero(as_tuple=True)
         distances = log_ltrb[0, :, y, x].T.clamp(-3.0, 5.0).exp() * STRIDE
-    centre = (torch.stack([x, y], dim=1) + 0.5) * STRIDE - 0.5
+    centre = cell_centres_px(torch.stack([x, y], dim=1))
     return torch.cat([centre - distances[:, :2], centre + distances[:, 2:]], dim=1).double().numpy()
 
 

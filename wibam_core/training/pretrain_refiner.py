@@ -22,6 +22,7 @@ from torch.utils.data import IterableDataset
 from wibam_core.detection.background import UNKNOWN
 from wibam_core.detection.crops import CROP_PX, Window, blob
 from wibam_core.geometry.boxes2d import clipped_to_image
+from wibam_core.geometry.pixels import resized_image
 from wibam_core.models.export import export_refiner2d
 from wibam_core.models.refiner2d import Refiner2D
 from wibam_core.synthetic.sampling import RenderedView
@@ -100,10 +101,7 @@ def _patch(view: RenderedView, row: int) -> Patch:
     x1, y1 = np.minimum(np.ceil(centre + half) + 1, [width, height]).astype(int).tolist()
     share = np.minimum(1.0, _BOX_PX / (box[2:] - box[:2]))
     columns, rows = np.maximum(1, np.round(share * [x1 - x0, y1 - y0])).astype(int).tolist()
-    parts = [
-        np.asarray(cv2.resize(image[y0:y1, x0:x1], (columns, rows), interpolation=cv2.INTER_AREA), np.uint8)
-        for image in (view.image, view.still)
-    ]
+    parts = [resized_image(image[y0:y1, x0:x1], columns, rows) for image in (view.image, view.still)]
     known = np.full((rows, columns, 1), 255, np.uint8)
     before, after = Window(x0, y0, x1, y1), Window(0, 0, columns, rows)
     seen, all_of_it = (after.to_px(before.to_shares(edges)) for edges in (box, whole))

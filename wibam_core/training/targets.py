@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from wibam_core.geometry.camera import Camera
+from wibam_core.geometry.pixels import resized_px
 from wibam_core.geometry.torch_ops import CameraTensors
 from wibam_core.models.decode import TAUGHT_CELLS
 from wibam_core.models.small import INPUT_WIDTH_PX, MEAN_SIZES_M, REFERENCE_FOCAL_PX
@@ -122,7 +123,7 @@ def _taught_cells(view: LabelledView, image: int, first_vehicle: int, width: int
     vehicle, cells = vehicle[inside], cells[inside]
     boxes2d, classes = view.boxes2d[vehicle], view.classes[vehicle]
     side = np.maximum(boxes2d[:, 2:] - boxes2d[:, :2], 1.0) / STRIDE
-    centre = ((boxes2d[:, :2] + boxes2d[:, 2:]) / 2 + 0.5) / STRIDE - 0.5
+    centre = resized_px((boxes2d[:, :2] + boxes2d[:, 2:]) / 2, 1 / STRIDE)
     lifted, values = _lifted_values(view, vehicle, cells, centre)
     return {
         "image": np.full(len(vehicle), image, np.int64),
@@ -146,7 +147,7 @@ def _lifted_values(
     ground, ground_depth = view.camera.project(boxes[:, :3] - boxes[:, 5:6] / 2 * [0.0, 0.0, 1.0])
     known &= np.minimum(depth, ground_depth) > 0.5
     uv, ground = (np.where(known[:, None], pixels, 0.0) for pixels in (uv, ground))
-    centre3d, footprint = (((pixels + 0.5) / STRIDE - 0.5)[vehicle] for pixels in (uv, ground))
+    centre3d, footprint = (resized_px(pixels, 1 / STRIDE)[vehicle] for pixels in (uv, ground))
     farthest = MAX_CENTRE_OFFSET_CELLS * max(1.0, view.camera.width_px / INPUT_WIDTH_PX)
     known_cell = known[vehicle] & (np.abs(centre3d - centre).max(axis=1, initial=0) <= farthest)
     rays = view.camera.rays(uv)

@@ -12,6 +12,7 @@ import numpy as np
 from av.video.frame import VideoFrame
 from numpy.typing import NDArray
 
+from wibam_core.geometry.pixels import shrunk_image
 from wibam_core.video.source import ACCURATE, ns_from_pts, open_video
 
 Image = NDArray[np.uint8]
@@ -114,18 +115,6 @@ def frames_nearest(
         yield NearestFrame(int(target), time_ns, chosen[1])
 
 
-def shrink(image: NDArray[np.uint8], width_px: int) -> NDArray[np.uint8]:
-    """Shrink an image (H, W, 3) to a width by area, keeping the aspect ratio; narrower images stay as they are.
-
-    A point at u moves to (u + 0.5)·s − 0.5.
-    """
-    height, width = image.shape[:2]
-    if width <= width_px:
-        return image
-    size = (width_px, max(round(height * width_px / width), 1))
-    return np.asarray(cv2.resize(image, size, interpolation=cv2.INTER_AREA), dtype=np.uint8)
-
-
 def _frames(path: Path, threads: int, count: DecodeCount) -> Iterator[tuple[int, VideoFrame]]:
     """Sound frames in the order of time, each time once, all of the first one's size."""
     last_ns: int | None = None
@@ -186,4 +175,4 @@ def _to_bgr(frame: VideoFrame, width_px: int | None) -> Image:
     turn = _QUARTER_TURNS.get(int(frame.rotation) % 360)
     if turn is not None:
         image = np.asarray(cv2.rotate(image, turn), dtype=np.uint8)
-    return image if width_px is None else shrink(image, width_px)
+    return image if width_px is None else shrunk_image(image, width_px)

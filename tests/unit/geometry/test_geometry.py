@@ -91,14 +91,6 @@ def test_convention_camera_axes_are_right_down_forward() -> None:
     assert v1 < camera.K[1, 2] and np.isclose(u1, camera.K[0, 2])
 
 
-def test_convention_resizing_keeps_pixel_areas() -> None:
-    camera = look_at((10, -7, 6))
-    small = camera.resized(320, 180)
-    point = np.array([1.0, 2.0, 0.5])
-    u, v = camera.project(point)[0]
-    np.testing.assert_allclose(small.project(point)[0], [(u + 0.5) / 2 - 0.5, (v + 0.5) / 2 - 0.5])
-
-
 @given(st.integers(0, 10_000), st.booleans())
 def test_rays_and_projection_are_inverse(seed: int, distorted: bool) -> None:
     rng = np.random.default_rng(seed)

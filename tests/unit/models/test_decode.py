@@ -14,7 +14,6 @@ from wibam_core.models.decode import (
     PeakValues,
     boxes3d,
     cell_centres_px,
-    cells_of_px,
     find_peaks,
     gather_around,
     standard_deviations,
@@ -203,8 +202,6 @@ def test_near_the_horizon_the_plane_tells_nothing_and_says_so() -> None:
 
 def test_convention_cells_are_centred_in_their_four_pixels() -> None:
     np.testing.assert_allclose(cell_centres_px(torch.tensor([[0, 0], [10, 3]])).numpy(), [[1.5, 1.5], [41.5, 13.5]])
-    pixels = torch.tensor([[3.7, 100.2]])
-    torch.testing.assert_close(cell_centres_px(cells_of_px(pixels)), pixels)
 
 
 def test_angles_wrap_to_the_half_open_circle() -> None:

@@ -13,7 +13,6 @@ from wibam_core.geometry.torch_ops import CameraTensors
 from wibam_core.models.decode import Decode, boxes2d_px, boxes3d, find_peaks, gather_around, standard_deviations
 from wibam_core.models.inference import (
     Frame,
-    content_height_px,
     kept_peaks,
     predict,
     predict_each,
@@ -207,7 +206,6 @@ def test_images_are_scaled_to_the_width_and_padded_below() -> None:
     assert (odd[:301] == 200).all()
     assert (odd[301:] == 0).all()
     assert prepare_image(image, 960).shape == (544, 960, 3)
-    assert content_height_px(1920, 1080, 640) == 360
 
 
 @pytest.mark.parametrize("input_width_px", [640, 960])

@@ -8,12 +8,12 @@ import torch
 from torch import Tensor
 
 from tests.builders import look_at
+from wibam_core.geometry.pixels import resized_px
 from wibam_core.geometry.torch_ops import CameraTensors, project, rays, vehicle_to_world
 from wibam_core.models.decode import (
     PeakValues,
     azimuths_rad,
     boxes3d,
-    cells_of_px,
     focal_px,
     standard_deviations,
     wrap_angle,
@@ -63,7 +63,7 @@ def told(boxes: Tensor, classes: Tensor, log_scale: tuple[float, ...] = (-3.0,) 
     n = len(boxes)
     seen_by = CAMERAS[:n]
     edges = outline_px(boxes, classes)
-    middle = cells_of_px((edges[:, :2] + edges[:, 2:]) / 2)
+    middle = resized_px((edges[:, :2] + edges[:, 2:]) / 2, 1 / STRIDE)
     cells = middle.round()
     centre, depth = project(seen_by, boxes[:, :3])
     footprint, _ = project(seen_by, boxes[:, :3] * torch.tensor([1.0, 1.0, 0.0]))
@@ -73,11 +73,11 @@ def told(boxes: Tensor, classes: Tensor, log_scale: tuple[float, ...] = (-3.0,) 
         cells.long(),
         classes,
         torch.cat([middle - cells, ((edges[:, 2:] - edges[:, :2]) / STRIDE).log()], dim=1),
-        cells_of_px(centre) - cells,
+        resized_px(centre, 1 / STRIDE) - cells,
         (depth * REFERENCE_FOCAL_PX / focal_px(seen_by)).log(),
         (boxes[:, 3:6] / SIZES.double()[classes]).log(),
         torch.stack([alpha.sin(), alpha.cos()], dim=1),
-        cells_of_px(footprint) - cells,
+        resized_px(footprint, 1 / STRIDE) - cells,
         torch.tensor(log_scale).double().expand(n, 5),
     )
 
@@ -204,7 +204,7 @@ def test_a_vehicle_that_the_border_cuts_is_as_long_as_its_heads_say() -> None:
     top = torch.where(shown, rows, torch.inf).amin(dim=1)
     bottom = torch.where(shown, rows, -torch.inf).amax(dim=1)
     low, high = torch.stack([left, top], dim=1), torch.stack([width - 1, bottom], dim=1)
-    centre = cells_of_px((low + high) / 2) - values.cells
+    centre = resized_px((low + high) / 2, 1 / STRIDE) - values.cells
     seen = replace(values, box2d=torch.cat([centre, ((high - low) / STRIDE).log()], dim=1))
     found, _ = reconciled(seen, boxes, torch.ones_like(boxes), narrow)
     torch.testing.assert_close(found, boxes, atol=1e-3, rtol=0)

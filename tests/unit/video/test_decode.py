@@ -9,7 +9,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from wibam_core.errors import UnreadableVideo
-from wibam_core.video.decode import DecodeCount, decode, frames_nearest, shrink
+from wibam_core.video.decode import DecodeCount, decode, frames_nearest
 from wibam_core.video.encode import VideoWriter
 
 FRAME_NS = 40_000_000
@@ -84,17 +84,6 @@ def test_gap_gives_no_frame_and_ties_the_earlier(tmp_path: Path) -> None:
 def test_descending_targets_are_refused(recording: tuple[Path, list[int]]) -> None:
     with pytest.raises(ValueError, match="ascend"):
         list(frames_nearest(recording[0], [2 * 10**9, 10**9], tolerance_ns=FRAME_NS))
-
-
-def test_convention_shrinking_moves_u_to_u_plus_half_times_s_minus_half() -> None:
-    image = np.zeros((90, 160, 3), np.uint8)
-    image[40:48, 100:108] = 255
-    small = shrink(image, 40)
-    rows, columns = np.nonzero(small[..., 0] > 127)
-    assert small.shape == (22, 40, 3)
-    assert columns.mean() == pytest.approx((103.5 + 0.5) / 4 - 0.5, abs=0.01)
-    assert rows.mean() == pytest.approx((43.5 + 0.5) * 22 / 90 - 0.5, abs=0.3)
-    assert shrink(image, 160) is image
 
 
 def test_frames_are_shrunk_on_the_way(recording: tuple[Path, list[int]]) -> None:
