@@ -242,8 +242,8 @@ def _message(line: str) -> Message:
         data = json.loads(line)
         match data["event"]:
             case "progress":
-                figures = {str(k): float(v) for k, v in dict(data.get("figures") or {}).items()}
-                return Progress(float(data["fraction"]), str(data.get("message", "")), figures)
+                figures = {str(k): float(v) for k, v in dict(data["figures"]).items()}
+                return Progress(float(data["fraction"]), str(data["message"]), figures)
             case "done":
                 return Done(dict(data["summary"]))
             case "failed":

@@ -36,13 +36,8 @@ def plain_json(value: Any) -> Any:
     return value
 
 
-def _kept_site(document: str) -> Site:
-    """A site as it was let in; an earlier version may have checked less."""
-    return Site.model_validate_json(document)
-
-
 def site_record(row: SiteRow) -> SiteRecord:
-    return SiteRecord(row.id, _kept_site(row.document), row.created_at)
+    return SiteRecord(row.id, Site.model_validate_json(row.document), row.created_at)
 
 
 def stored_file(row: FileRow) -> StoredFile:
@@ -100,7 +95,7 @@ def job(row: JobRow, files: Iterable[StoredFile], stages: Iterable[StageRow]) ->
     return Job(
         id=row.id,
         site_id=row.site_id,
-        site=_kept_site(row.site_document),
+        site=Site.model_validate_json(row.site_document),
         options=row.options,
         files=tuple(files),
         stages=tuple(stage_run(stage) for stage in stages),

@@ -71,12 +71,10 @@ class Settlement:
     Attributes:
         job: the job's state from now on.
         moves: stage name -> its state from now on, for the stages that change.
-        stop_running: stages that still run shall stop, their job will not need them.
     """
 
     job: JobState
     moves: Mapping[str, StageState]
-    stop_running: bool
 
     @property
     def queued(self) -> tuple[str, ...]:
@@ -95,24 +93,24 @@ def settle(job: JobState, stages: Sequence[StageNode]) -> Settlement:
     running = any(stage.state is StageState.RUNNING for stage in stages)
     failed = any(stage.state is StageState.FAILED for stage in stages)
     if job.is_terminal:
-        return Settlement(job, {}, stop_running=running)
+        return Settlement(job, {})
     if job is JobState.CANCELLING:
         waiting = _in_states(stages, StageState.PENDING, StageState.QUEUED)
         after = JobState.CANCELLING if running else JobState.CANCELLED
-        return Settlement(after, dict.fromkeys(waiting, StageState.CANCELLED), stop_running=running)
+        return Settlement(after, dict.fromkeys(waiting, StageState.CANCELLED))
     if failed:
         parked = _in_states(stages, StageState.QUEUED)
         after = job if running else JobState.FAILED
-        return Settlement(after, dict.fromkeys(parked, StageState.PENDING), stop_running=running)
+        return Settlement(after, dict.fromkeys(parked, StageState.PENDING))
     if all(stage.state.has_outputs for stage in stages):
-        return Settlement(JobState.SUCCEEDED, {}, stop_running=False)
-    return Settlement(job, dict.fromkeys(_ready(stages), StageState.QUEUED), stop_running=False)
+        return Settlement(JobState.SUCCEEDED, {})
+    return Settlement(job, dict.fromkeys(_ready(stages), StageState.QUEUED))
 
 
 def cancel(job: JobState, stages: Sequence[StageNode]) -> Settlement:
     """Somebody asked to cancel. A terminal job stays as it is."""
     if job.is_terminal:
-        return Settlement(job, {}, stop_running=False)
+        return Settlement(job, {})
     return settle(JobState.CANCELLING, stages)
 
 
