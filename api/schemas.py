@@ -202,7 +202,10 @@ class JobOut(BaseModel):
 class EventOut(BaseModel):
     """Something that happened to a job."""
 
-    sequence: int = Field(description="counts from 1 without gaps; also the id of the server-sent event")
+    sequence: int = Field(
+        description="rises from 1; also the id of the server-sent event. Numbers may be missing: once a stage has "
+        "ended, the last report of its progress alone is kept"
+    )
     kind: Literal["job", "stage", "progress"]
     at: datetime
     data: dict[str, Any]

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import Any, NamedTuple
 
-from sqlalchemy import select
+from sqlalchemy import delete, func, select
 from sqlalchemy.orm import Session
 
 from wibam_core.adapters import records
@@ -45,18 +45,35 @@ def stage_rows(session: Session, job_id: str) -> list[StageRow]:
 
 def job_record(session: Session, row: JobRow) -> Job:
     """The whole job."""
-    return records.job(row, job_files(session, row.id), stage_rows(session, row.id))
+    return job_records(session, [row])[0]
+
+
+def job_records(session: Session, rows: Sequence[JobRow]) -> list[Job]:
+    """Whole jobs, in as many queries as one takes."""
+    ids = [row.id for row in rows]
+    stages: dict[str, list[StageRow]] = {job_id: [] for job_id in ids}
+    for stage in session.scalars(select(StageRow).where(StageRow.job_id.in_(ids)).order_by(StageRow.position)):
+        stages[stage.job_id].append(stage)
+    files = _files_of(session, ids)
+    return [records.job(row, files[row.id], stages[row.id]) for row in rows]
 
 
 def job_files(session: Session, job_id: str) -> list[StoredFile]:
     """The files that a job works on."""
-    rows = session.scalars(
-        select(FileRow)
-        .join(JobFileRow, JobFileRow.file_id == FileRow.id)
-        .where(JobFileRow.job_id == job_id)
+    return _files_of(session, [job_id])[job_id]
+
+
+def _files_of(session: Session, job_ids: Sequence[str]) -> dict[str, list[StoredFile]]:
+    rows = session.execute(
+        select(JobFileRow.job_id, FileRow)
+        .join(FileRow, JobFileRow.file_id == FileRow.id)
+        .where(JobFileRow.job_id.in_(job_ids))
         .order_by(FileRow.purpose, FileRow.camera_id)
     )
-    return [records.stored_file(row) for row in rows]
+    files: dict[str, list[StoredFile]] = {job_id: [] for job_id in job_ids}
+    for job_id, row in rows:
+        files[job_id].append(records.stored_file(row))
+    return files
 
 
 def nodes(stages: Sequence[StageRow]) -> list[StageNode]:
@@ -64,11 +81,22 @@ def nodes(stages: Sequence[StageRow]) -> list[StageNode]:
 
 
 def add_event(session: Session, job: JobRow, kind: EventKind, now: float, **data: Any) -> None:
-    """Append an event; the job's row must be locked, so that sequence numbers have no gaps."""
+    """Append an event; the job's row must be locked, so that no two have one sequence number."""
     job.last_event += 1
     session.add(
         EventRow(job_id=job.id, sequence=job.last_event, kind=kind.value, at=now, data=records.plain_json(data))
     )
+
+
+def thin_progress(session: Session, job: JobRow, stage: str) -> None:
+    """Forget how far a stage of a job was, but for the last report. Sequence numbers are not given again."""
+    reports = (
+        EventRow.job_id == job.id,
+        EventRow.kind == EventKind.PROGRESS.value,
+        EventRow.data["stage"].as_string() == stage,
+    )
+    last = select(func.max(EventRow.sequence)).where(*reports).scalar_subquery()
+    session.execute(delete(EventRow).where(*reports, EventRow.sequence < last))
 
 
 def move_job(
@@ -119,5 +147,5 @@ def _first_error(stages: Sequence[StageRow], state: JobState) -> Mapping[str, An
     if state is not JobState.FAILED:
         return None
     failed = next(stage for stage in stages if stage.state == StageState.FAILED.value)
-    error = dict(failed.error or {})
-    return {**error, "details": {**error.get("details", {}), "stage": failed.name}}
+    assert failed.error is not None
+    return {**failed.error, "details": {**failed.error["details"], "stage": failed.name}}

@@ -17,6 +17,7 @@ from wibam_core.adapters.job_rows import (
     add_event,
     apply,
     job_record,
+    job_records,
     job_row,
     nodes,
     settle_job,
@@ -110,7 +111,7 @@ class JobStore:
         if site_id is not None:
             newest = newest.where(JobRow.site_id == site_id)
         with self._database.reading() as session:
-            return [job_record(session, row) for row in session.scalars(newest).all()]
+            return job_records(session, session.scalars(newest).all())
 
     def cancel(self, job_id: str) -> Job:
         """Ask a job to stop. A terminal job stays as it is.
@@ -215,6 +216,8 @@ class JobStore:
     def events(self, job_id: str, after: int = 0, limit: int = 500) -> tuple[list[Event], bool]:
         """Events with sequence numbers above ``after``, and whether no more will come (unless the job is restarted).
 
+        Of the progress of a stage that has ended only the last report is kept.
+
         Raises:
             NotFound: there is no such job.
         """
@@ -240,7 +243,7 @@ class JobStore:
         )
         with self._database.reading() as session:
             rows = session.execute(select(latest.c.name, func.avg(latest.c.seconds)).group_by(latest.c.name))
-            return {name: float(seconds) for name, seconds in rows if seconds is not None}
+            return {name: float(seconds) for name, seconds in rows}
 
 
 def _fresh_stage(job_id: str, position: int, planned: StagePlan) -> StageRow:

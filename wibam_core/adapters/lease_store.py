@@ -12,7 +12,7 @@ from sqlalchemy.orm import Session
 
 from wibam_core.adapters import records
 from wibam_core.adapters.database import Database
-from wibam_core.adapters.job_rows import StageKey, add_event, job_files, move_job, move_stage, settle_job
+from wibam_core.adapters.job_rows import StageKey, add_event, job_files, move_job, move_stage, settle_job, thin_progress
 from wibam_core.adapters.models import JobRow, StageRow
 from wibam_core.adapters.naming import in_users_words
 from wibam_core.errors import StageCrashed, WibamError
@@ -241,6 +241,8 @@ class LeaseStore:
         now = self._now()
         move_stage(session, job, stage, state, now, **news)
         session.flush()
+        if state.is_terminal:
+            thin_progress(session, job, stage.name)
         own = [StageKey(job.id, stage.name)] if state is StageState.QUEUED else []
         waiting_for_equal = select(StageRow.job_id, StageRow.name).where(
             StageRow.hash == stage.hash, StageRow.state == StageState.QUEUED.value, StageRow.job_id != job.id

@@ -37,7 +37,7 @@ class StoredFile:
     Attributes:
         camera_id: of a recording; empty otherwise.
         filename: as the client called it. For showing only: it is never part of a path.
-        suffix: what kind of file it is, found by looking at it (".parquet", ".json", ".onnx" or "").
+        suffix: what kind of file it is, found by looking at it (".parquet", ".json" or "").
     """
 
     id: str
@@ -160,7 +160,10 @@ class EventKind(StrEnum):
 
 @dataclass(frozen=True)
 class Event:
-    """Something that happened to a job. ``sequence`` counts from 1 without gaps within the job."""
+    """Something that happened to a job. ``sequence`` counts them within the job, from 1.
+
+    Numbers may be missing: once a stage has ended, the last report of its progress alone is kept.
+    """
 
     job_id: str
     sequence: int
