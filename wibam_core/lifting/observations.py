@@ -9,7 +9,9 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from wibam_core.geometry.boxes2d import sides_px
 from wibam_core.geometry.camera import Camera
+from wibam_core.geometry.occlusion import hidden_edges, stands_before
 from wibam_core.scene import AnnotatedInstant, CameraRig, Detections2D, FloatArray, IntArray
 
 BoolArray = NDArray[np.bool_]
@@ -24,8 +26,8 @@ _BORDER_PX = 1.5
 _BORDER_SHARE = 0.04
 #: An edge is hidden by a nearer box that covers at least this share of its length.
 _HIDDEN_SHARE = 0.2
-#: A nearer box counts as larger by this share of its sides, since boxes are never exact.
-_OCCLUDER_MARGIN = 0.04
+#: A nearer box counts as larger on each side, since boxes are never exact: this many px, and this share of its side.
+_OCCLUDER_PX, _OCCLUDER_SHARE = 1.0, 0.04
 
 
 @dataclass(frozen=True, eq=False)
@@ -130,41 +132,16 @@ def _edges(detections: Detections2D, camera: Camera, instant: AnnotatedInstant) 
             distance[row] = np.hypot(vehicle.x_m - camera.centre_m[0], vehicle.y_m - camera.centre_m[1])
     boxes, known = detections.whole_boxes, np.isfinite(detections.amodal_sd)
     cut = cut_by_border(boxes, camera.width_px, camera.height_px)
-    hidden = hidden_by_nearer(detections.boxes, distance) & ~known
-    usual = np.hypot(_EDGE_SD_PX, _EDGE_SD_SHARE * np.tile(boxes[:, 2:] - boxes[:, :2], 2))
+    seen = detections.boxes
+    grown = seen + (_OCCLUDER_PX + _OCCLUDER_SHARE * np.tile(sides_px(seen), 2)) * [-1, -1, 1, 1]
+    hidden = hidden_edges(seen, stands_before(distance), _HIDDEN_SHARE, grown) & ~known
+    usual = np.hypot(_EDGE_SD_PX, _EDGE_SD_SHARE * np.tile(sides_px(boxes), 2))
     sd = np.where(known, np.hypot(_LEAST_EDGE_SD_PX, detections.amodal_sd), usual)
     return _Edges(boxes, sd, ~(cut | hidden), cut[:, :2] | cut[:, 2:])
 
 
 def cut_by_border(boxes: FloatArray, width_px: int, height_px: int) -> BoolArray:
     """Which edges (N, 4) of xyxy boxes (N, 4) touch the border of the image."""
-    margin = _BORDER_PX + _BORDER_SHARE * (boxes[:, 2:] - boxes[:, :2])
+    margin = _BORDER_PX + _BORDER_SHARE * sides_px(boxes)
     limits = np.array([width_px, height_px]) - 0.5
     return np.concatenate([boxes[:, :2] <= -0.5 + margin, boxes[:, 2:] >= limits - margin], axis=1)
-
-
-def hidden_by_nearer(boxes: FloatArray, distance_m: FloatArray) -> BoolArray:
-    """Which edges (N, 4) of xyxy boxes (N, 4) lie in the box of a vehicle that is nearer to the camera.
-
-    Args:
-        boxes: in one image, px.
-        distance_m: (N,) from the camera; infinite where unknown, which hides nothing.
-    """
-    n = len(boxes)
-    hidden = np.zeros((n, 4), dtype=bool)
-    if n < 2:
-        return hidden
-    nearer = distance_m[None, :] < distance_m[:, None]
-    margin = 1.0 + _OCCLUDER_MARGIN * (boxes[:, 2:] - boxes[:, :2])
-    low, high = boxes[:, :2] - margin, boxes[:, 2:] + margin
-    for side in range(4):
-        axis, along = side % 2, 1 - side % 2
-        at = boxes[:, side, None]
-        reaches = (low[None, :, axis] <= at) & (at <= high[None, :, axis])
-        shared = np.minimum(boxes[:, None, 2 + along], high[None, :, along]) - np.maximum(
-            boxes[:, None, along], low[None, :, along]
-        )
-        length = np.maximum(boxes[:, 2 + along] - boxes[:, along], 1e-6)
-        covered = shared / length[:, None] >= _HIDDEN_SHARE
-        hidden[:, side] = (nearer & reaches & covered).any(axis=1)
-    return hidden

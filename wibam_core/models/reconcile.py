@@ -11,6 +11,7 @@ from __future__ import annotations
 import torch
 from torch import Tensor
 
+from wibam_core.geometry.occlusion import hidden_edges, stands_before
 from wibam_core.geometry.torch_ops import CameraTensors, project, vehicle_to_world
 from wibam_core.models.decode import (
     PeakValues,
@@ -37,6 +38,8 @@ _YAW_TRUST, _YAW_TRUST_BESIDE_EDGES = 2.0, 1.5
 _BORDER_PX = 3.0
 #: An edge of which a nearer vehicle's box covers more than this share may be hidden by it.
 _HIDDEN_SHARE = 0.3
+#: By how much farther down a nearer vehicle reaches, and how far beyond its box it may hide edges, px.
+_LOWER_PX, _SLACK_PX = 1.0, 2.0
 #: Residuals beyond this many standard deviations count less and less.
 _ROBUST_SD = 3.0
 _STEPS = 4
@@ -106,7 +109,7 @@ class _Problem:
         if edges is None:
             px = boxes2d_px(values)
             sd_px = _EDGE_SD_PX + _EDGE_SD_SHARE * (px[:, 2:] - px[:, :2]).repeat(1, 2)
-            told = ~hidden_edges(px, values.image)
+            told = ~covered_edges(px, values.image)
         else:
             px, sd_px = edges.px, (edges.sd_px.square() + _BODY_SD_PX**2).sqrt()
             told = torch.ones_like(px, dtype=torch.bool)
@@ -175,7 +178,7 @@ def edges_within(boxes: Tensor, outline: Tensor, size_px: Tensor) -> Tensor:
     return inside & (there | inside.all(dim=1, keepdim=True))
 
 
-def hidden_edges(boxes: Tensor, image: Tensor) -> Tensor:
+def covered_edges(boxes: Tensor, image: Tensor) -> Tensor:
     """(N, 4) which edges, left, top, right, bottom, of 2D boxes (N, 4) xyxy may be those of what hides the vehicle.
 
     That is a vehicle that stands nearer in the same image, which is one whose box reaches farther down.
@@ -184,13 +187,6 @@ def hidden_edges(boxes: Tensor, image: Tensor) -> Tensor:
         boxes: of what is seen of the vehicles, px.
         image: (N,) which image each is in.
     """
-    nearer = (image[:, None] == image) & (boxes[:, 3] > boxes[:, None, 3] + 1.0)
-    own, other = boxes[:, None], boxes[None]
-    overlap = torch.minimum(own[..., 2:], other[..., 2:]) - torch.maximum(own[..., :2], other[..., :2])
-    share = overlap / (own[..., 2:] - own[..., :2])
-    # an upright edge is covered if it lies within the other's width, by the share of its height that both have
-    within = (own.unflatten(-1, (2, 2)) >= other[..., None, :2] - 2.0) & (
-        own.unflatten(-1, (2, 2)) <= other[..., None, 2:] + 2.0
-    )
-    covered = within & (share.flip(-1) > _HIDDEN_SHARE)[..., None, :]
-    return (covered.flatten(-2) & nearer[..., None]).any(dim=1)
+    px = boxes.numpy()
+    before = stands_before(-px[:, 3], _LOWER_PX) & (image[:, None] == image).numpy()
+    return torch.from_numpy(hidden_edges(px, before, _HIDDEN_SHARE, px, _SLACK_PX))

@@ -12,8 +12,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from wibam_core.geometry.box3d import vehicle_to_world
-from wibam_core.geometry.boxes2d import areas_px2, clipped_to_image, image_iou, intersections_px2, sides_px
+from wibam_core.geometry.boxes2d import areas_px2, clipped_to_image, image_iou, sides_px
 from wibam_core.geometry.camera import Camera
+from wibam_core.geometry.occlusion import hidden_share, stands_before
 from wibam_core.road_users import BODIES
 from wibam_core.training.views import FloatArray
 
@@ -64,13 +65,6 @@ def overlooked(
     missing = in_image & ~found & ~own
     clear = areas_px2(shown) >= _LEAST_SHARE * areas_px2(whole)
     clear &= sides_px(shown).min(axis=1, initial=np.inf) >= _LEAST_PX
-    clear &= _covered(shown, depths.mean(axis=1), in_image) <= _HIDDEN_SHARE
+    clear &= hidden_share(shown, stands_before(np.where(in_image, depths.mean(axis=1), np.inf))) <= _HIDDEN_SHARE
     rows = np.flatnonzero(missing & clear)
     return Overlooked(rows, shown[rows], shown[missing & ~clear])
-
-
-def _covered(boxes: FloatArray, depth_m: FloatArray, seen: NDArray[np.bool_]) -> FloatArray:
-    """(M,) largest share of each box (M, 4) that the box of one nearer vehicle covers."""
-    shared = intersections_px2(boxes, boxes) * (depth_m[None] < depth_m[:, None]) * seen[None]
-    share: FloatArray = shared.max(axis=1, initial=0.0) / np.maximum(areas_px2(boxes), 1e-9)
-    return share

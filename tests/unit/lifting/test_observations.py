@@ -4,7 +4,7 @@ import numpy as np
 
 from tests.builders import corner_rig
 from tests.multiview import crossing
-from wibam_core.lifting.observations import Observations, cut_by_border, hidden_by_nearer, observe
+from wibam_core.lifting.observations import Observations, cut_by_border, observe
 from wibam_core.road_users import RoadUserClass
 from wibam_core.scene import AnnotatedInstant, Detections2D, MultiViewVehicle
 
@@ -24,24 +24,6 @@ def test_a_large_box_may_miss_the_border_by_its_jitter() -> None:
         True,
         False,
     ]
-
-
-def test_a_nearer_vehicle_hides_the_edges_inside_its_box() -> None:
-    far, near = [100.0, 100, 180, 140], [150.0, 90, 260, 170]
-    hidden = hidden_by_nearer(np.array([far, near]), np.array([30.0, 20.0]))
-    assert hidden.tolist() == [[False, True, True, True], [False] * 4]
-    assert not hidden_by_nearer(np.array([far, near]), np.array([20.0, 30.0]))[0].any()
-
-
-def test_only_what_covers_the_edge_hides_it() -> None:
-    far, low = [100.0, 100, 180, 140], [90.0, 136, 260, 170]
-    hidden = hidden_by_nearer(np.array([far, low]), np.array([30.0, 20.0]))
-    assert hidden[0].tolist() == [False, False, False, True], "sides are covered for an eighth of their length alone"
-
-
-def test_boxes_at_unknown_distances_hide_nothing() -> None:
-    boxes = np.array([[100.0, 100, 180, 140], [150.0, 90, 260, 170]])
-    assert not hidden_by_nearer(boxes, np.array([30.0, np.inf]))[0].any()
 
 
 def test_observations_hold_every_view_of_vehicles_with_enough_views() -> None:

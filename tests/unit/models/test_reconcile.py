@@ -18,7 +18,7 @@ from wibam_core.models.decode import (
     standard_deviations,
     wrap_angle,
 )
-from wibam_core.models.reconcile import edges_within, hidden_edges, reconciled
+from wibam_core.models.reconcile import covered_edges, edges_within, reconciled
 from wibam_core.models.second_look import Edges
 from wibam_core.models.small import MEAN_SIZES_M, REFERENCE_FOCAL_PX
 from wibam_core.models.trunk import STRIDE
@@ -226,7 +226,7 @@ def test_edges_behind_a_nearer_vehicle_are_not_compared(
     other: tuple[float, ...], image: int, hidden: list[bool]
 ) -> None:
     boxes = torch.tensor([(100.0, 100.0, 200.0, 200.0), other])
-    found = hidden_edges(boxes, torch.tensor([0, image]))
+    found = covered_edges(boxes, torch.tensor([0, image]))
     assert found[0].tolist() == hidden
     assert bool(found[1].any()) == (other[3] < 200.0 and image == 0)  # the first hides it
 
