@@ -81,11 +81,29 @@ class SiteCamera(_Model):
     signals: tuple[SignalRegion, ...] = ()
 
 
+class Origin(_Model):
+    """Where the world's origin lies on Earth; for exports alone, nothing is computed with it.
+
+    Attributes:
+        latitude_deg, longitude_deg: in WGS 84, positive to the north and to the east.
+        altitude_m: of the world's z = 0, above the WGS 84 ellipsoid; None where it is not known.
+        x_axis_bearing_deg: whither the world's X axis points, clockwise from north; 90 is east, so that Y is north.
+        epsg: code of the projected coordinate reference system, in metres, of CSV exports; None is the UTM zone.
+    """
+
+    latitude_deg: float = Field(ge=-90, le=90)
+    longitude_deg: float = Field(ge=-180, le=180)
+    altitude_m: float | None = Field(default=None, ge=-1000, le=10000)
+    x_axis_bearing_deg: float = Field(default=90.0, ge=-360, le=360)
+    epsg: int | None = Field(default=None, ge=1024, le=32767)
+
+
 class Site(_Model):
     """A site. The first camera is the reference: its clock is the result's clock."""
 
     name: str = Field(min_length=1, max_length=200)
     cameras: tuple[SiteCamera, ...] = Field(min_length=1, max_length=32)
+    origin: Origin | None = None
 
     @pydantic.model_validator(mode="after")
     def _unique_ids(self) -> Site:
@@ -99,9 +117,12 @@ class Site(_Model):
 
         Raises:
             SiteFileError: the name has a control character, a camera has a focal length that is not positive, or a
-                signal region is empty or lies outside the image.
+                signal region is empty or lies outside the image, or the origin's EPSG code is no projected system in
+                metres.
         """
         _check_text(self.name, "the name of the site")
+        if self.origin is not None and self.origin.epsg is not None:
+            _check_epsg(self.origin.epsg)
         for camera in self.cameras:
             if not isinstance(camera.calibration, HomographyCalibration):
                 _check_focal_length(camera.id, camera.calibration.K)
@@ -144,6 +165,23 @@ class Site(_Model):
 def _check_text(text: str, what: str, **details: str) -> None:
     if any(ord(character) < 32 or ord(character) == 127 for character in text):
         raise SiteFileError(f"{what}, {text!r}, has a control character", hint="Use plain text.", **details)
+
+
+def _check_epsg(epsg: int) -> None:
+    from pyproj import CRS  # takes longer to import than all else here, and hardly any site names a system
+    from pyproj.exceptions import CRSError
+
+    try:
+        crs = CRS.from_epsg(epsg)
+        fits = crs.is_projected and not crs.is_compound and all(a.unit_conversion_factor == 1 for a in crs.axis_info)
+    except CRSError:
+        fits = False
+    if not fits:
+        raise SiteFileError(
+            f"origin.epsg: EPSG:{epsg} is no projected coordinate reference system in metres",
+            hint="Name one, e.g. 32632 for UTM zone 32 north, or leave it out.",
+            epsg=epsg,
+        )
 
 
 def _check_focal_length(camera_id: str, K: tuple[Row3, Row3, Row3]) -> None:

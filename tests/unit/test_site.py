@@ -82,3 +82,31 @@ def test_two_recordings_of_a_camera_are_both_named(tmp_path: Path) -> None:
 def test_text_that_is_no_json_is_refused() -> None:
     with pytest.raises(SiteFileError):
         Site.parse("{")
+
+
+@pytest.mark.parametrize(
+    ("origin", "words"),
+    [
+        ({"latitude_deg": 91, "longitude_deg": 0}, r"origin\.latitude_deg"),
+        ({"latitude_deg": 0}, r"origin\.longitude_deg"),
+        ({"latitude_deg": 0, "longitude_deg": 0, "epsg": 4326}, "EPSG:4326 is no projected"),
+        ({"latitude_deg": 0, "longitude_deg": 0, "epsg": 2263}, "EPSG:2263 .* in metres"),  # US survey feet
+        ({"latitude_deg": 0, "longitude_deg": 0, "epsg": 1999}, "EPSG:1999"),
+    ],
+)
+def test_an_origin_that_is_nowhere_on_earth_is_refused(origin: dict[str, float], words: str) -> None:
+    data = {**json.loads(site_of().model_dump_json()), "origin": origin}
+    with pytest.raises(SiteFileError, match=words):
+        Site.parse(json.dumps(data))
+
+
+def test_a_site_may_say_where_it_lies() -> None:
+    origin = {
+        "latitude_deg": 48.1,
+        "longitude_deg": 11.5,
+        "altitude_m": 519.0,
+        "x_axis_bearing_deg": 72.5,
+        "epsg": 25832,
+    }
+    site = Site.parse(json.dumps({**json.loads(site_of().model_dump_json()), "origin": origin}))
+    assert site.origin is not None and site.origin.model_dump() == origin

@@ -22,13 +22,14 @@ from wibam_core.site import Site
 
 
 class Part(StrEnum):
-    """A kind of content that a format may hold."""
+    """A kind of content that a format may hold; the origin is where the world lies on Earth."""
 
     CALIBRATION = "calibration"
     BOXES_2D = "boxes_2d"
     BOXES_3D = "boxes_3d"
     TRACKS = "tracks"
     LABELS = "labels"
+    ORIGIN = "origin"
     FRAMES = "frames"
 
 
@@ -69,6 +70,7 @@ class Content:
             Part.BOXES_3D: self.boxes_3d,
             Part.TRACKS: self.tracks,
             Part.LABELS: self.labels,
+            Part.ORIGIN: None if self.site is None else self.site.origin,
             Part.FRAMES: self.jpeg,
         }
         return frozenset(part for part, value in there.items() if value is not None)
@@ -154,6 +156,8 @@ class ReadableFormat(ExchangeFormat, Protocol):
 
 #: What ids of cameras look like, as `wibam_core.site.CameraId`.
 CAMERA_ID = re.compile(r"[A-Za-z0-9][A-Za-z0-9_-]{0,63}")
+_ORIGIN_HINT = "Say in site.json where the world's origin lies on Earth, see docs/site-format.md, and create a new job."
+
 _IMAGE_NAME = re.compile(rf"(?:.*/)?(?P<camera>{CAMERA_ID.pattern})/(?P<time>\d{{1,18}})\.[A-Za-z]{{1,5}}")
 
 
@@ -173,6 +177,6 @@ def require_parts(fmt: ExchangeFormat, content: Content) -> None:
     if missing:
         raise InputError(
             f"{fmt.title} needs {' and '.join(missing).replace('_', ' ')}, which is not there",
-            hint="Let the job run up to the stage that makes it.",
+            hint=_ORIGIN_HINT if missing == [Part.ORIGIN] else "Let the job run up to the stage that makes it.",
             parts=missing,
         )

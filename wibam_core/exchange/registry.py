@@ -8,18 +8,22 @@ from types import MappingProxyType
 from wibam_core.errors import NotFound
 from wibam_core.exchange.base import ExchangeFormat
 from wibam_core.exchange.coco import Coco
+from wibam_core.exchange.geojson import GeoJson
 from wibam_core.exchange.levelx import LevelX
 from wibam_core.exchange.motchallenge import MotChallenge
 from wibam_core.exchange.nuscenes import NuScenesResults
 from wibam_core.exchange.ottrk import Ottrk
+from wibam_core.exchange.projected_csv import ProjectedCsv
 from wibam_core.exchange.ssam import Ssam
 
 _FORMATS: tuple[ExchangeFormat, ...] = (
     Coco(),
+    GeoJson(),
     LevelX(),
     MotChallenge(),
     NuScenesResults(),
     Ottrk(),
+    ProjectedCsv(),
     Ssam(),
 )
 
