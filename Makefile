@@ -38,6 +38,15 @@ test: $(READY) ## lint, check types and import directions, run all tests
 	$(BIN)/mypy
 	$(BIN)/python -m pytest -n 2
 
+READERS := build/readers
+$(READERS)/.ready: tests/readers/requirements.txt
+	$(PYTHON) -m venv $(READERS)
+	$(READERS)/bin/python -m pip install --quiet --disable-pip-version-check -r tests/readers/requirements.txt
+	@touch $@
+
+test-readers: $(READERS)/.ready ## let other projects' programs read what is exported, in an environment of their own
+	$(READERS)/bin/python -m pytest -p no:cacheprovider tests/readers
+
 fix: $(READY) ## format the code and mend what the linter can mend
 	$(BIN)/ruff check --fix .
 	$(BIN)/ruff format .
@@ -55,4 +64,4 @@ weights: $(READY) ## train the bundled networks again from simulated images (hou
 clean: ## remove what was built; the virtual environment stays
 	rm -rf build .mypy_cache .ruff_cache .pytest_cache .import_linter_cache
 
-.PHONY: help setup demo serve test fix weights clean
+.PHONY: help setup demo serve test test-readers fix weights clean

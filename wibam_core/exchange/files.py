@@ -5,12 +5,16 @@ from __future__ import annotations
 from pathlib import Path
 from typing import TypeVar
 
+import cv2
+import numpy as np
 import pydantic
 
 from wibam_core.errors import InputError
 
 #: Larger text files are refused: they would be held in memory several times over.
 MAX_BYTES = 1 << 30
+#: More than a photograph has.
+MAX_IMAGE_BYTES = 1 << 26
 
 _Model = TypeVar("_Model", bound=pydantic.BaseModel)
 
@@ -60,6 +64,22 @@ def read_json(path: Path, model: type[_Model], max_bytes: int = MAX_BYTES) -> _M
         first = error.errors(include_url=False, include_input=False)[0]
         where = ".".join(str(part) for part in first["loc"]) or "the file"
         raise wrong(path, where, first["msg"]) from error
+
+
+def image_size_px(path: Path) -> tuple[int, int]:
+    """Width and height of a picture.
+
+    Raises:
+        InputError: as `read_bytes`, or it is no picture.
+    """
+    data = np.frombuffer(read_bytes(path, MAX_IMAGE_BYTES), np.uint8)
+    try:
+        image = cv2.imdecode(data, cv2.IMREAD_GRAYSCALE)
+    except cv2.error:  # more pixels than OpenCV takes, or no byte at all
+        image = None
+    if image is None:
+        raise wrong(path, "image", "it cannot be read")
+    return int(image.shape[1]), int(image.shape[0])
 
 
 def wrong(path: Path, field: str, problem: str, hint: str = "Correct the file, or export it again.") -> InputError:

@@ -9,6 +9,7 @@ from wibam_core.errors import NotFound
 from wibam_core.exchange.base import ExchangeFormat
 from wibam_core.exchange.coco import Coco
 from wibam_core.exchange.geojson import GeoJson
+from wibam_core.exchange.kitti import Kitti
 from wibam_core.exchange.levelx import LevelX
 from wibam_core.exchange.motchallenge import MotChallenge
 from wibam_core.exchange.nuscenes import NuScenesResults
@@ -19,6 +20,7 @@ from wibam_core.exchange.ssam import Ssam
 _FORMATS: tuple[ExchangeFormat, ...] = (
     Coco(),
     GeoJson(),
+    Kitti(),
     LevelX(),
     MotChallenge(),
     NuScenesResults(),

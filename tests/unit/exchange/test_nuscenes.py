@@ -122,18 +122,3 @@ def test_what_cannot_be_is_refused(tmp_path: Path, document: object) -> None:
     with pytest.raises(InputError, match=r"theirs\.json: results") as refused:
         read(tmp_path, document)
     assert refused.value.hint
-
-
-@pytest.mark.readers
-def test_the_devkit_reads_boxes_and_takes_them_as_a_submission(tmp_path: Path) -> None:
-    loaders = pytest.importorskip("nuscenes.eval.common.loaders", reason="nuscenes-devkit: run `make test-readers`")
-    classes = pytest.importorskip("nuscenes.eval.detection.data_classes")
-    (path,) = NuScenesResults().write(content(), tmp_path)
-    found, meta = loaders.load_prediction(str(path), 500, classes.DetectionBox)
-    assert meta["use_camera"] is True
-    assert set(found.sample_tokens) == {str(v.time_ns) for v in content().boxes_3d or ()}
-    car = found["0"][0]
-    expected = (content().boxes_3d or ())[0].boxes[0]
-    np.testing.assert_allclose([*car.translation, *car.size], expected[[0, 1, 2, 4, 3, 5]])
-    quaternion = pytest.importorskip("pyquaternion").Quaternion(car.rotation)
-    assert quaternion.yaw_pitch_roll[0] == pytest.approx(expected[6])
