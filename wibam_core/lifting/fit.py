@@ -14,6 +14,7 @@ from dataclasses import dataclass, replace
 import torch
 from torch import Tensor
 
+from wibam_core.geometry.gauss_newton import cauchy_weights, newton_steps, normal_equations
 from wibam_core.geometry.torch_ops import CameraTensors, giou, project_camera_points
 from wibam_core.scene import FloatArray
 
@@ -171,9 +172,7 @@ def _descend(problem: FitProblem, parameters: Tensor, iterations: int) -> tuple[
 def _solve(hessian: Tensor, gradient: Tensor, damping: Tensor) -> Tensor:
     diagonal = hessian.diagonal(dim1=-2, dim2=-1)
     damped = hessian + torch.diag_embed(damping[:, None] * diagonal + 1e-4)
-    factor, failed = torch.linalg.cholesky_ex(damped)
-    step = -torch.cholesky_solve(gradient[..., None], factor)[..., 0]
-    step = torch.where((failed > 0)[:, None] | ~step.isfinite(), torch.zeros_like(step), step)
+    step = newton_steps(damped, gradient)
     limit = step.new_tensor([2.0, 2.0, 0.2, 0.2, 0.2, 0.4])
     return torch.maximum(torch.minimum(step, limit), -limit)
 
@@ -208,22 +207,21 @@ def _linearise(problem: FitProblem, parameters: Tensor) -> _State:
     beyond = residual * outward >= 0
     compared = used[..., None] & (exact | ~beyond)
     residual = torch.where(compared, residual, torch.zeros_like(residual))
-    squared = (residual / ROBUST_SD) ** 2
-    weight = compared / (1 + squared)
+    weight = compared * cauchy_weights(residual, ROBUST_SD)
     prior_residual = parameters - problem.prior_mean
     turn = prior_residual[:, YAW]
     prior_residual = torch.cat([prior_residual[:, :YAW], torch.atan2(turn.sin(), turn.cos())[:, None]], dim=1)
     # a view that drops out must not make a fit cheaper
     lost = (problem.seen & ~used).sum(dim=1) * (4 * 9.0)
     cost = (
-        0.5 * ROBUST_SD**2 * torch.log1p(squared).sum(dim=(1, 2))
+        0.5 * ROBUST_SD**2 * torch.log1p((residual / ROBUST_SD) ** 2).sum(dim=(1, 2))
         + 0.5 * (problem.prior_weight * prior_residual**2).sum(dim=1)
         + lost
     )
-    scaled = (jacobian / sd[..., None]).flatten(1, 2)
-    weighted = scaled * weight.flatten(1)[..., None]
-    gradient = (weighted * residual.flatten(1)[..., None]).sum(dim=1) + problem.prior_weight * prior_residual
-    data_hessian = weighted.transpose(1, 2) @ scaled
+    data_hessian, gradient = normal_equations(
+        (jacobian / sd[..., None]).flatten(1, 2), residual.flatten(1), weight.flatten(1)
+    )
+    gradient = gradient + problem.prior_weight * prior_residual
     hessian = data_hessian + torch.diag_embed(problem.prior_weight)
     return _State(cost, gradient, hessian, data_hessian, edges, exact, used)
 

@@ -14,6 +14,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from wibam_core.geometry.gauss_newton import cauchy_weights, normal_equations
 from wibam_core.lifting.fit import (
     LOG_HEIGHT,
     LOG_LENGTH,
@@ -209,7 +210,7 @@ def _of_sightings(shapes: Shapes, problem: FitProblem, fitted: Fit, classes: Int
     sd = problem.sd()
     compared = (exact & used[..., None]).numpy()
     residual = np.where(compared, ((edges - problem.boxes) / sd).numpy(), 0.0).astype(np.float64)
-    weight = compared / (1 + (residual / ROBUST_SD) ** 2)
+    weight = compared * cauchy_weights(torch.from_numpy(residual), ROBUST_SD).numpy()
     n = len(residual)
     slopes = np.concatenate([jacobian.numpy(), _by_modes(shapes, problem, fitted.parameters, classes)], axis=-1)
     flat = (slopes / sd.numpy()[..., None]).reshape(n, -1, 6 + len(MODES))
@@ -220,8 +221,7 @@ def _of_sightings(shapes: Shapes, problem: FitProblem, fitted: Fit, classes: Int
     at = np.concatenate([parameters[:, LOG_LENGTH : LOG_HEIGHT + 1] - LOG_SIZE_MEAN[classes], shapes.modes[classes]], 1)
     # residuals of vehicles of usual size with the template as it was
     residual = residual - np.einsum("nej,nj->ne", flat[..., shared], at)
-    hessian = np.einsum("nei,ne,nej->nij", flat, weight, flat)
-    gradient = np.einsum("nei,ne,ne->ni", flat, weight, residual)
+    hessian, gradient = (of.numpy() for of in normal_equations(*map(torch.from_numpy, (flat, residual, weight))))
     prior = problem.prior_weight.numpy().astype(np.float64)[:, pose]
     off = (parameters - problem.prior_mean.numpy())[:, pose]
     off[:, 2] = np.arctan2(np.sin(off[:, 2]), np.cos(off[:, 2]))

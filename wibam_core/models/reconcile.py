@@ -11,6 +11,7 @@ from __future__ import annotations
 import torch
 from torch import Tensor
 
+from wibam_core.geometry.gauss_newton import cauchy_weights, newton_steps, normal_equations
 from wibam_core.geometry.occlusion import hidden_edges, stands_before
 from wibam_core.geometry.torch_ops import CameraTensors, project, vehicle_to_world
 from wibam_core.models.decode import (
@@ -75,7 +76,7 @@ def reconciled(
     parameters = torch.cat([boxes[:, :2], boxes[:, 3:6].log(), boxes[:, 6:]], dim=1)
     for _ in range(_STEPS):
         information, gradient = problem.normal_equations(parameters)
-        parameters = parameters - torch.linalg.solve_ex(information, gradient)[0]
+        parameters = parameters + newton_steps(information, gradient)
     variance = torch.linalg.inv_ex(information)[0].diagonal(dim1=-2, dim2=-1)
     found, own = _boxes(parameters), variance.clamp_min(0.0).sqrt()
     size_sd = found[:, 3:6] * own[:, 2:5]
@@ -128,10 +129,8 @@ class _Problem:
         residuals, ahead, behind = self._residuals(parameters[:, None] + tried).split([1, 6, 6], dim=1)
         jacobian = ((ahead - behind) / (2 * deltas.sum(dim=1)[:, None])).transpose(1, 2)
         residuals = residuals[:, 0]
-        robust = 1 / (1 + (residuals / _ROBUST_SD).square())
-        weighted = robust[..., None] * jacobian
-        information = jacobian.transpose(1, 2) @ weighted + 1e-6 * torch.eye(len(_DELTAS), dtype=parameters.dtype)
-        return information, (weighted.transpose(1, 2) @ residuals[..., None])[..., 0]
+        information, gradient = normal_equations(jacobian, residuals, cauchy_weights(residuals, _ROBUST_SD))
+        return information + 1e-6 * torch.eye(len(_DELTAS), dtype=parameters.dtype), gradient
 
     def _outline(self, boxes: Tensor) -> tuple[Tensor, Tensor]:
         """Pixels (N, K, P, 2) and depths (N, K, P) of the points of the bodies of boxes (N, K, 7)."""
