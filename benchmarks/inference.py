@@ -24,11 +24,12 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from wibam_core.models.decode import Decode
-from wibam_core.models.inference import Frame, RunnableNetwork, predict, prepare_image, to_input
-from wibam_core.models.onnx_network import OnnxNetwork
-from wibam_core.models.small import SmallNetwork
-from wibam_core.models.weights import bundled, load_network
+from wibam_core.models.frames import Frame, prepare_image, to_input
+from wibam_core.networks.small.architecture import SmallNetwork
+from wibam_core.networks.small.onnx_network import OnnxNetwork
+from wibam_core.networks.small.predict import RunnableNetwork, predict
+from wibam_core.networks.weights import bundled, load_network
+from wibam_core.placing import Decode
 from wibam_core.synthetic.sampling import sample_views
 
 SIZE_PX = (960, 540)

@@ -50,7 +50,7 @@ from benchmarks.learning_sites import (
     views,
 )
 from wibam_core.config import FinetuneConfig
-from wibam_core.models.decode import Decode
+from wibam_core.placing import Decode
 from wibam_core.stages.store import sha256_of
 
 #: The network before training -> how its boxes are placed; None: as after it.

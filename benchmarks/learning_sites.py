@@ -30,12 +30,12 @@ from wibam_core.formats.labels import read_labels
 from wibam_core.formats.rig import read_rig
 from wibam_core.formats.vehicles3d import read_vehicles3d
 from wibam_core.geometry.se3 import normalise_angle
-from wibam_core.models.centertrack import predict_vehicles
-from wibam_core.models.decode import Decode
-from wibam_core.models.dla34 import DLA34
-from wibam_core.models.inference import predict
 from wibam_core.models.stored_frames import stored_frames
-from wibam_core.models.weights import Monocular, bundled, load_monocular
+from wibam_core.networks.dla34.architecture import DLA34
+from wibam_core.networks.dla34.centertrack import predict_vehicles
+from wibam_core.networks.small.predict import predict
+from wibam_core.networks.weights import Monocular, bundled, load_monocular
+from wibam_core.placing import Decode
 from wibam_core.progress import silent
 from wibam_core.scene import AnnotatedInstant, CameraRig, FrameSet, Vehicles3D
 from wibam_core.stages.runner import SiteFolder, run_pipeline

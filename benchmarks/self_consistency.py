@@ -38,7 +38,7 @@ from benchmarks.learning_sites import (
     views,
 )
 from wibam_core.config import FinetuneConfig
-from wibam_core.models.decode import Decode
+from wibam_core.placing import Decode
 from wibam_core.report.style import camera_colour, new_figure, tidy
 
 #: What needs no label -> title.

@@ -34,10 +34,10 @@ from torch import Tensor
 from wibam_core.config import FinetuneConfig
 from wibam_core.formats.framestore import FrameStore, FrameStoreWriter
 from wibam_core.geometry.torch_ops import CameraTensors, corners, giou, tight_boxes, to_camera
-from wibam_core.models.dla34 import DLA34
-from wibam_core.models.inference import to_input
-from wibam_core.models.small import INPUT_WIDTH_PX
-from wibam_core.models.weights import Monocular, bundled, load_network
+from wibam_core.models.frames import INPUT_WIDTH_PX, to_input
+from wibam_core.networks.dla34.architecture import DLA34
+from wibam_core.networks.small.targets import encode
+from wibam_core.networks.weights import Monocular, bundled, load_network
 from wibam_core.scene import AnnotatedInstant, CameraRig, Detections2D, MultiViewVehicle, Vehicles3D
 from wibam_core.synthetic.cameras import site_cameras
 from wibam_core.synthetic.layout import make_layout
@@ -49,9 +49,7 @@ from wibam_core.training.augment import jitter_colour, mirror, shake
 from wibam_core.training.dataset import ImageCache, site_views
 from wibam_core.training.device import Precision
 from wibam_core.training.finetune import SHAKEN_SHARE, SiteDataset, finetune
-from wibam_core.training.multiview import NEAR_M, OtherViews, multiview_loss
-from wibam_core.training.objectives import OtherCameras
-from wibam_core.training.targets import encode
+from wibam_core.training.multiview import NEAR_M, OtherCameras, OtherViews, multiview_loss
 
 BATCH, SLOTS, VIEWS = 16, 128, 4
 #: Input of the published DLA-34, and the part of it that is measured: cost is linear in pixels and images.

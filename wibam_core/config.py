@@ -10,6 +10,7 @@ import pydantic_core
 from pydantic import BaseModel, ConfigDict, Field
 
 from wibam_core.errors import InvalidOption, UnknownOption
+from wibam_core.placing import Decode
 
 
 class StageConfig(BaseModel):
@@ -101,7 +102,7 @@ class FinetuneConfig(StageConfig):
     network: Literal["small", "custom"] = Field(
         "small", description="'custom': the site's own network.safetensors (a converted CenterTrack DLA-34)"
     )
-    decode: Literal["plane", "depth", "fused", "ground", "fitted", "refined"] = Field(
+    decode: Decode = Field(
         default_factory=_usual_decode,
         description="how boxes are placed: 'plane': where the ray to the 3D centre is half the vehicle's height above"
         " ground; 'depth': at the regressed depth; 'fused': by both by their regressed uncertainties; 'ground': where"

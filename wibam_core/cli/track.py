@@ -20,11 +20,11 @@ from wibam_core.evaluation.uncertainty import GROUPS, SdFactors
 from wibam_core.formats.rig import read_rig
 from wibam_core.formats.tracks import write_tracks
 from wibam_core.geometry.camera import Camera
-from wibam_core.models.convert import LICENCE_NOTE
-from wibam_core.models.dla34 import DLA34
-from wibam_core.models.onnx_network import OnnxNetwork
 from wibam_core.models.usage import Usage
-from wibam_core.models.weights import bundled, load_monocular, usage_of
+from wibam_core.networks.dla34.architecture import DLA34
+from wibam_core.networks.dla34.convert import LICENCE_NOTE
+from wibam_core.networks.small.onnx_network import OnnxNetwork
+from wibam_core.networks.weights import bundled, load_monocular, usage_of
 from wibam_core.scene import Track
 from wibam_core.tracking.recording import track_recording
 from wibam_core.tracking.uncalibrated import nominal_camera

@@ -9,7 +9,7 @@ import typer
 from rich.console import Console
 from rich.markup import escape
 
-from wibam_core.models.convert import LICENCE_NOTE, convert_checkpoint
+from wibam_core.networks.dla34.convert import LICENCE_NOTE, convert_checkpoint
 
 app = typer.Typer(help="Bring weights of your own.", no_args_is_help=True)
 

@@ -275,3 +275,18 @@ def giou(a: Tensor, b: Tensor) -> Tensor:
     union = (area_a + area_b - overlap).clamp_min(1e-9)
     hull = (torch.maximum(a[..., 2:], b[..., 2:]) - torch.minimum(a[..., :2], b[..., :2])).prod(dim=-1).clamp_min(1e-9)
     return overlap / union - (hull - union) / hull
+
+
+def focal_px(cameras: CameraTensors) -> Tensor:
+    """(N,) geometric means of the focal lengths."""
+    return torch.sqrt(cameras.K[:, 0, 0] * cameras.K[:, 1, 1])
+
+
+def azimuths_rad(rays: Tensor) -> Tensor:
+    """(N,) azimuth about world +Z of directions (N, 3)."""
+    return torch.atan2(rays[:, 1], rays[:, 0])
+
+
+def wrap_angle(angle_rad: Tensor) -> Tensor:
+    """Angles (...) wrapped to (−π, π]."""
+    return angle_rad - 2 * torch.pi * torch.ceil((angle_rad - torch.pi) / (2 * torch.pi)).detach()

@@ -6,7 +6,7 @@ from collections.abc import Iterable, Iterator, Mapping
 
 from wibam_core.formats.framestore import FrameStore
 from wibam_core.geometry.camera import Camera
-from wibam_core.models.inference import Frame
+from wibam_core.models.frames import Frame
 from wibam_core.scene import FrameSet
 
 

@@ -8,11 +8,12 @@ import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from types import MappingProxyType
+from typing import Any, get_args
 
 from wibam_core.errors import InvalidWeights
-from wibam_core.models.decode import Decode
-from wibam_core.models.small import INPUT_WIDTH_PX
+from wibam_core.models.frames import INPUT_WIDTH_PX
 from wibam_core.models.trunk import INPUT_MULTIPLE
+from wibam_core.placing import Decode
 
 #: How the small network's boxes can be placed; first what a file means that does not say.
 SMALL_DECODES: tuple[Decode, ...] = ("plane", "depth", "fused", "ground", "fitted", "refined")
@@ -57,6 +58,14 @@ class Usage:
         if decode is None:
             raise InvalidWeights(f"{source}: decode is {said!r}, not one of {', '.join(decodes)}", field="decode")
         return cls(decode, _factors(source, metadata.get("sd_factors", "{}")))
+
+
+def read_decode(curves: Mapping[str, Any]) -> Decode:
+    """How a finetune stage's ``curves.json`` says that boxes are to be placed; old ones by the plane."""
+    decode: Decode = curves.get("decode", "plane")
+    if decode not in get_args(Decode):
+        raise ValueError(f"no decoding is called {decode!r}")
+    return decode
 
 
 def input_width_metadata(input_width_px: int) -> dict[str, str]:

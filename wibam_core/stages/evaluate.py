@@ -23,13 +23,14 @@ from wibam_core.formats.framestore import FrameStore
 from wibam_core.formats.labels import read_labels
 from wibam_core.formats.rig import read_rig
 from wibam_core.formats.vehicles3d import write_vehicles3d
-from wibam_core.models.centertrack import predict_vehicles_each
-from wibam_core.models.decode import Decode, read_decode
-from wibam_core.models.dla34 import DLA34
-from wibam_core.models.inference import predict_each
-from wibam_core.models.onnx_network import OnnxNetwork
 from wibam_core.models.stored_frames import stored_frames
-from wibam_core.models.weights import bundled, load_monocular
+from wibam_core.models.usage import read_decode
+from wibam_core.networks.dla34.architecture import DLA34
+from wibam_core.networks.dla34.centertrack import predict_vehicles_each
+from wibam_core.networks.small.onnx_network import OnnxNetwork
+from wibam_core.networks.small.predict import predict_each
+from wibam_core.networks.weights import bundled, load_monocular
+from wibam_core.placing import Decode
 from wibam_core.progress import Progress, part
 from wibam_core.scene import CameraRig, FrameSet, Vehicles3D
 from wibam_core.stages.base import StageContext, Summary

@@ -12,10 +12,11 @@ from wibam_core.formats.annotations import read_annotations
 from wibam_core.formats.framestore import FrameStore
 from wibam_core.formats.rig import read_rig
 from wibam_core.formats.vehicles3d import read_vehicles3d
-from wibam_core.models.export import export_small
-from wibam_core.models.small import INPUT_WIDTH_PX, SmallNetwork
+from wibam_core.models.frames import INPUT_WIDTH_PX
 from wibam_core.models.usage import Usage
-from wibam_core.models.weights import bundled, load_centertrack, load_network, origin_of, save_network
+from wibam_core.networks.small.architecture import SmallNetwork
+from wibam_core.networks.small.export import export_small
+from wibam_core.networks.weights import bundled, load_centertrack, load_network, origin_of, save_network
 from wibam_core.stages.base import StageContext, Summary
 from wibam_core.stages.graph import require_network
 from wibam_core.training.calibration import sd_factors

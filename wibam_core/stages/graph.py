@@ -81,7 +81,7 @@ _SPECS = (
         site_part=_sizes,
         reads_recordings=True,
         assets=("labels", "network"),
-        asset_checks=frozenset({"formats.labels", "models.weights"}),
+        asset_checks=frozenset({"formats.labels", "networks.weights"}),
     ),
     StageSpec("sync", "Synchronise the cameras", ("preflight",), _signals, reads_recordings=True),
     StageSpec("calibrate", "Calibrate the cameras", ("preflight",), _calibration),

@@ -72,7 +72,7 @@ def _probe(camera_id: str, path: Path) -> VideoInfo:
 
 
 def _check_network(path: Path) -> None:
-    from wibam_core.models.weights import load_centertrack  # torch takes seconds to import
+    from wibam_core.networks.weights import load_centertrack  # torch takes seconds to import
 
     try:
         load_centertrack(path)

@@ -11,13 +11,13 @@ from wibam_core.evaluation.uncertainty import SdFactors
 from wibam_core.formats.framestore import FrameStore
 from wibam_core.formats.rig import read_rig
 from wibam_core.formats.tracks import write_tracks
-from wibam_core.models.centertrack import predict_vehicles
-from wibam_core.models.decode import read_decode
-from wibam_core.models.dla34 import DLA34
-from wibam_core.models.inference import predict
-from wibam_core.models.onnx_network import OnnxNetwork
 from wibam_core.models.stored_frames import stored_frames
-from wibam_core.models.weights import load_monocular
+from wibam_core.models.usage import read_decode
+from wibam_core.networks.dla34.architecture import DLA34
+from wibam_core.networks.dla34.centertrack import predict_vehicles
+from wibam_core.networks.small.onnx_network import OnnxNetwork
+from wibam_core.networks.small.predict import predict
+from wibam_core.networks.weights import load_monocular
 from wibam_core.stages.base import StageContext, Summary
 from wibam_core.tracking.tracker import Tracker
 from wibam_core.training.device import choose_device_to_detect

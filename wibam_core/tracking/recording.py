@@ -10,10 +10,11 @@ from numpy.typing import NDArray
 from wibam_core.config import TrackConfig
 from wibam_core.evaluation.uncertainty import SdFactors
 from wibam_core.geometry.camera import Camera
-from wibam_core.models.centertrack import predict_vehicles
-from wibam_core.models.decode import Decode
-from wibam_core.models.dla34 import DLA34
-from wibam_core.models.inference import Frame, RunnableNetwork, predict
+from wibam_core.models.frames import Frame
+from wibam_core.networks.dla34.architecture import DLA34
+from wibam_core.networks.dla34.centertrack import predict_vehicles
+from wibam_core.networks.small.predict import RunnableNetwork, predict
+from wibam_core.placing import Decode
 from wibam_core.scene import Track
 from wibam_core.tracking.tracker import Tracker
 

@@ -17,10 +17,11 @@ from wibam_core.config import EvaluateConfig
 from wibam_core.evaluation.matching import match_on_ground
 from wibam_core.evaluation.metrics import box_errors
 from wibam_core.evaluation.uncertainty import SdFactors
-from wibam_core.models.decode import Decode
-from wibam_core.models.inference import Frame, predict
-from wibam_core.models.small import SmallNetwork
-from wibam_core.models.weights import Monocular
+from wibam_core.models.frames import Frame
+from wibam_core.networks.small.architecture import SmallNetwork
+from wibam_core.networks.small.predict import predict
+from wibam_core.networks.weights import Monocular
+from wibam_core.placing import Decode
 from wibam_core.scene import Vehicles3D
 from wibam_core.training.dataset import SiteView
 from wibam_core.training.finetune import SiteDataset

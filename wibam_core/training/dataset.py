@@ -11,8 +11,7 @@ from numpy.typing import NDArray
 
 from wibam_core.formats.framestore import FrameStore
 from wibam_core.geometry.pixels import resized_px, scale_of
-from wibam_core.models.inference import prepare_camera, prepare_image
-from wibam_core.models.small import INPUT_WIDTH_PX
+from wibam_core.models.frames import INPUT_WIDTH_PX, prepare_camera, prepare_image
 from wibam_core.models.trunk import INPUT_MULTIPLE
 from wibam_core.scene import AnnotatedInstant, CameraRig, Detections2D, MultiViewVehicle, Vehicles3D
 from wibam_core.training.overlooked import overlooked

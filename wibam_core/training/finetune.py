@@ -18,8 +18,9 @@ from wibam_core.config import FinetuneConfig
 from wibam_core.errors import NoMultiViewVehicles, NonFiniteLoss, StageOutOfMemory, TooFewInstants
 from wibam_core.formats.framestore import FrameStore
 from wibam_core.geometry.camera import Camera
-from wibam_core.models.small import SmallNetwork
-from wibam_core.models.weights import Monocular
+from wibam_core.networks.registry import trainable_of
+from wibam_core.networks.small.architecture import SmallNetwork
+from wibam_core.networks.weights import Monocular
 from wibam_core.progress import Progress, silent
 from wibam_core.scene import CameraRig
 from wibam_core.training.augment import jitter_colour, mirror, shake
@@ -27,9 +28,9 @@ from wibam_core.training.checkpoint import read_checkpoint, write_checkpoint
 from wibam_core.training.dataset import SiteView, input_width_of
 from wibam_core.training.device import Precision, choose_device
 from wibam_core.training.distributed import Ranks, helpers, usable_devices
-from wibam_core.training.objectives import OtherCameras
+from wibam_core.training.multiview import OtherCameras
 from wibam_core.training.schedule import CosineSchedule, LearningRateSchedule, PlateauSchedule
-from wibam_core.training.trainable import TrainableNetwork, trainable_of
+from wibam_core.training.trainable import TrainableNetwork
 from wibam_core.training.views import LabelledView
 
 _GRADIENT_CLIP = 5.0

@@ -1,21 +1,33 @@
 """The published loss (Howe et al. 2021, eq. 1): a box seen in one view must fit the 2D boxes of the other views.
 
 The published code counts the view that the box is predicted in among them; here a pair of a vehicle and its own view
-does that, see `wibam_core.training.objectives.OtherCameras`.
+does that, see `OtherCameras`.
 """
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
+import numpy as np
 import torch
+from numpy.typing import NDArray
 from torch import Tensor
 
 from wibam_core.geometry.torch_ops import CameraTensors, corners, giou, tight_boxes, to_camera
+from wibam_core.models.frames import INPUT_WIDTH_PX, prepare_camera
+from wibam_core.scene import CameraRig
+from wibam_core.training.augment import mirror_camera
+from wibam_core.training.dataset import SiteView
+from wibam_core.training.views import FloatArray
 
 #: A view is left out for a vehicle with any corner nearer to it than this: its projection would say little and its
 #: gradient explode.
 NEAR_M = 0.5
+
+#: Weight of the multi-view loss beside the lifted one. Small, because it gained nothing on top of lifted labels where
+#: it was measured, and its pull towards smaller sizes is the published method's known fault.
+DEFAULT_MULTIVIEW_WEIGHT = 0.1
 
 
 @dataclass(frozen=True, eq=False)
@@ -55,3 +67,59 @@ def multiview_loss(boxes: Tensor, views: OtherViews) -> Tensor:
     count = zeros.index_add(0, vehicle, in_view.to(boxes.dtype))
     seen = count > 0
     return (total / count.clamp_min(1)).sum() / seen.sum().clamp_min(1)
+
+
+class OtherCameras:
+    """Turns the other views of site views into `OtherViews`, mirrored where the view is.
+
+    Args:
+        rig: cameras, of the recording's pixels.
+        own_view: whether the view that a box is predicted in counts as one of the views that it must fit, as in the
+            published code. It does so for the vehicles that another view sees too.
+        input_width_px: how wide the network sees the images.
+    """
+
+    def __init__(self, rig: CameraRig, own_view: bool = False, input_width_px: int = INPUT_WIDTH_PX) -> None:
+        prepared = [prepare_camera(camera, input_width_px) for camera in rig.values()]
+        self._own_view = own_view
+        self._number_of = {camera_id: number for number, camera_id in enumerate(rig)}
+        self._widths = np.array([camera.width_px for camera in prepared])
+        self._cameras = CameraTensors.from_cameras(
+            [*prepared, *(mirror_camera(camera) for camera in prepared)], torch.float64
+        )
+
+    def of(self, views: Sequence[SiteView], mirrored: Sequence[bool]) -> OtherViews:
+        """For a batch in which the vehicles of the views are numbered one view after the other."""
+        vehicle: list[NDArray[np.int64]] = [np.zeros(0, np.int64)]
+        camera: list[NDArray[np.int64]] = [np.zeros(0, np.int64)]
+        boxes: list[FloatArray] = [np.zeros((0, 4))]
+        first = 0
+        for view, is_mirrored in zip(views, mirrored, strict=True):
+            vehicles, cameras, given = self._pairs(view)
+            vehicle.append(vehicles + first)
+            camera.append(cameras + (len(self._widths) if is_mirrored else 0))
+            boxes.append(_mirror(given, self._widths[cameras]) if is_mirrored else given)
+            first += len(view.labels.classes)
+        return OtherViews(
+            torch.from_numpy(np.concatenate(vehicle)),
+            torch.from_numpy(np.concatenate(camera)),
+            torch.from_numpy(np.concatenate(boxes)),
+            self._cameras,
+        )
+
+    def _pairs(self, view: SiteView) -> tuple[NDArray[np.int64], NDArray[np.int64], FloatArray]:
+        """Vehicles (P,) of the view, cameras (P,) and boxes (P, 4), px of the camera's input."""
+        if not self._own_view:
+            return view.other_vehicle, view.other_camera, view.other_boxes
+        vehicle = np.unique(view.other_vehicle)
+        return (
+            np.concatenate([view.other_vehicle, vehicle]),
+            np.concatenate([view.other_camera, np.full(len(vehicle), self._number_of[view.camera_id])]),
+            np.concatenate([view.other_boxes, view.labels.boxes2d[vehicle]]),
+        )
+
+
+def _mirror(boxes: FloatArray, width_px: NDArray[np.int64]) -> FloatArray:
+    """Boxes (P, 4) in column-mirrored images of widths (P,)."""
+    left, top, right, bottom = boxes.T
+    return np.stack([width_px - 1 - right, top, width_px - 1 - left, bottom], axis=1)

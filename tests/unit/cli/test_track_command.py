@@ -17,15 +17,15 @@ from wibam_core.errors import CalibrationError, InvalidWeights, MissingCamera
 from wibam_core.evaluation.uncertainty import SdFactors
 from wibam_core.formats.rig import write_rig
 from wibam_core.formats.tracks import read_tracks
-from wibam_core.models.convert import convert_checkpoint
-from wibam_core.models.decode import Decode
-from wibam_core.models.dla34 import DLA34
-from wibam_core.models.export import export_small
-from wibam_core.models.inference import Frame
-from wibam_core.models.onnx_network import OnnxNetwork
-from wibam_core.models.small import UNCERTAINTY_GROUPS, SmallNetwork
+from wibam_core.models.frames import Frame
 from wibam_core.models.usage import Usage
-from wibam_core.models.weights import bundled, load_centertrack, load_network, save_network
+from wibam_core.networks.dla34.architecture import DLA34
+from wibam_core.networks.dla34.convert import convert_checkpoint
+from wibam_core.networks.small.architecture import UNCERTAINTY_GROUPS, SmallNetwork
+from wibam_core.networks.small.export import export_small
+from wibam_core.networks.small.onnx_network import OnnxNetwork
+from wibam_core.networks.weights import bundled, load_centertrack, load_network, save_network
+from wibam_core.placing import Decode
 from wibam_core.road_users import RoadUserClass
 from wibam_core.scene import Track, Vehicles3D
 from wibam_core.tracking import recording

@@ -8,8 +8,8 @@ from typer.testing import CliRunner
 
 from wibam_core.cli.app import app
 from wibam_core.errors import InvalidWeights
-from wibam_core.models.dla34 import DLA34
-from wibam_core.models.weights import load_monocular
+from wibam_core.networks.dla34.architecture import DLA34
+from wibam_core.networks.weights import load_monocular
 
 
 def run(*arguments: str | Path) -> str:

@@ -19,10 +19,11 @@ from wibam_core.errors import InputError, InvalidOption, InvalidWeights, Unreada
 from wibam_core.formats.annotations import write_annotations
 from wibam_core.formats.rig import write_rig
 from wibam_core.formats.vehicles3d import write_vehicles3d
-from wibam_core.models.dla34 import DLA34
-from wibam_core.models.inference import Frame
-from wibam_core.models.small import SmallNetwork
-from wibam_core.models.weights import centertrack_metadata, load_centertrack, save_network, usage_of
+from wibam_core.models.frames import Frame
+from wibam_core.networks.dla34 import train as dla34
+from wibam_core.networks.dla34.architecture import DLA34
+from wibam_core.networks.small.architecture import SmallNetwork
+from wibam_core.networks.weights import centertrack_metadata, load_centertrack, save_network, usage_of
 from wibam_core.progress import silent
 from wibam_core.scene import Vehicles3D
 from wibam_core.stages import evaluate, finetune, preflight, track
@@ -30,7 +31,6 @@ from wibam_core.stages.base import StageContext
 from wibam_core.stages.graph import InputDigests, plan
 from wibam_core.stages.runner import SiteFolder, StageUpdate, run_pipeline
 from wibam_core.stages.store import StageStore
-from wibam_core.training import dla34
 
 CUSTOM = FinetuneConfig(network="custom", steps=1, batch_size=1, steps_per_epoch=1)
 

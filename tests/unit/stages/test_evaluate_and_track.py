@@ -23,9 +23,9 @@ from wibam_core.formats.rig import write_rig
 from wibam_core.formats.tracks import read_tracks
 from wibam_core.formats.vehicles3d import read_vehicles3d
 from wibam_core.geometry.projection import project_boxes
-from wibam_core.models.inference import Frame
-from wibam_core.models.small import SmallNetwork
-from wibam_core.models.weights import save_network
+from wibam_core.models.frames import Frame
+from wibam_core.networks.small.architecture import SmallNetwork
+from wibam_core.networks.weights import save_network
 from wibam_core.progress import silent
 from wibam_core.road_users import RoadUserClass
 from wibam_core.scene import AnnotatedInstant, Detections2D, LabelledInstant, MultiViewVehicle, Vehicles3D

@@ -14,14 +14,14 @@ from wibam_core.dataset.split import Split
 from wibam_core.formats.annotations import read_annotations, write_annotations
 from wibam_core.formats.rig import write_rig
 from wibam_core.formats.vehicles3d import write_vehicles3d
-from wibam_core.models.onnx_network import OnnxNetwork
 from wibam_core.models.usage import Usage
-from wibam_core.models.weights import load_network, usage_of
+from wibam_core.networks.small.onnx_network import OnnxNetwork
+from wibam_core.networks.weights import load_network, usage_of
 from wibam_core.progress import silent
 from wibam_core.scene import CameraRig
 from wibam_core.stages import finetune
 from wibam_core.stages.base import StageContext
-from wibam_core.training.objectives import OtherCameras
+from wibam_core.training.multiview import OtherCameras
 
 
 def context_of(folder: Path) -> StageContext:

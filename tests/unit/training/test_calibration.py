@@ -11,8 +11,8 @@ import torch
 
 from tests.site_dataset import tiny_site
 from wibam_core.evaluation.uncertainty import SdFactors
-from wibam_core.models.inference import Frame
-from wibam_core.models.small import SmallNetwork
+from wibam_core.models.frames import Frame
+from wibam_core.networks.small.architecture import SmallNetwork
 from wibam_core.scene import Vehicles3D
 from wibam_core.training import calibration
 from wibam_core.training.calibration import factors_from_fits, sd_factors

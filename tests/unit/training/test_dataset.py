@@ -8,8 +8,7 @@ import pytest
 from tests.site_dataset import LATENESS_NS, PERIOD_NS, TinySite, boxes_at, tiny_site, without_detection
 from wibam_core.geometry.box3d import corners
 from wibam_core.geometry.boxes2d import image_iou
-from wibam_core.models.inference import prepare_image
-from wibam_core.models.small import INPUT_WIDTH_PX
+from wibam_core.models.frames import INPUT_WIDTH_PX, prepare_image
 from wibam_core.models.trunk import INPUT_MULTIPLE
 from wibam_core.training.dataset import ImageCache, input_width_of, site_views
 

@@ -10,9 +10,9 @@ from torch import nn
 from tests.site_dataset import tiny_site
 from wibam_core.config import FinetuneConfig
 from wibam_core.errors import InvalidOption
-from wibam_core.models.dla34 import DLA34
-from wibam_core.models.small import SmallNetwork
 from wibam_core.models.trunk import TrunkShape
+from wibam_core.networks.dla34.architecture import DLA34
+from wibam_core.networks.small.architecture import SmallNetwork
 from wibam_core.progress import silent
 from wibam_core.training import distributed
 from wibam_core.training.checkpoint import read_checkpoint, write_checkpoint

@@ -10,8 +10,8 @@ import torch
 from tests.site_dataset import TinySite, tiny_site
 from wibam_core.config import FinetuneConfig
 from wibam_core.errors import Cancelled, NoMultiViewVehicles, NonFiniteLoss, TooFewInstants
-from wibam_core.models.small import SmallNetwork
 from wibam_core.models.trunk import TrunkShape
+from wibam_core.networks.small.architecture import SmallNetwork
 from wibam_core.progress import silent
 from wibam_core.training.dataset import site_views
 from wibam_core.training.finetune import FinetuneResult, SiteDataset, finetune

@@ -1,0 +1,90 @@
+"""The scripts that make the bundled networks: what they draw, and that they train."""
+
+import itertools
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+
+from wibam_core.models.detector2d import Detector2D
+from wibam_core.models.export import export_detector2d
+from wibam_core.networks.small.architecture import SmallNetwork
+from wibam_core.networks.weights import load_network
+from wibam_core.pretraining import detector, monocular
+from wibam_core.pretraining.common import Batch, PoolPlan, ViewPool, batches
+
+PLAN = PoolPlan(990_000, "ego", 60, 20, 2, (128, 96))
+
+
+@pytest.fixture(autouse=True)
+def _one_thread() -> None:
+    torch.set_num_threads(1)
+
+
+def drawn(count: int, workers: int, seed: int = 0) -> list[Batch]:
+    return list(batches(PLAN, monocular.augmented, count, 2, seed, workers))
+
+
+def same(one: Batch, other: Batch) -> bool:
+    return torch.equal(one.images, other.images) and torch.equal(one.targets.boxes3d, other.targets.boxes3d)
+
+
+@pytest.mark.parametrize("workers", [0, pytest.param(2, marks=pytest.mark.slow)])
+def test_a_seed_gives_the_same_batches(workers: int) -> None:
+    first, again, other = drawn(4, workers), drawn(4, workers), drawn(4, workers, seed=1)
+    assert all(map(same, first, again))
+    assert not any(map(same, first, other))
+    assert not any(same(one, two) for one, two in itertools.combinations(first, 2))
+
+
+def test_processes_render_different_sites_and_together_as_many_views() -> None:
+    parts = [PLAN.part(number, 3) for number in range(3)]
+    rendered = [range(part.seed, part.seed + part.images) for part in parts]
+    assert [len(views) for views in rendered] == [20, 20, 20]
+    assert all(one.stop <= two.start for one, two in itertools.pairwise(rendered))
+    assert PLAN.part(0, 1) == PLAN
+
+
+def test_a_pool_grows_as_planned() -> None:
+    pool = ViewPool(replace(PLAN, images=40))
+    sizes = []
+    for step in range(6):
+        pool.grow(step)
+        sizes.append(len(pool))
+    assert 0 < sizes[0] == sizes[1] < sizes[2] == sizes[5] <= 40
+    view = pool.draw(np.random.default_rng(0))
+    assert view.image.shape == (96, 128, 3)
+
+
+@pytest.mark.parametrize("script", [monocular, detector])
+@pytest.mark.parametrize("device", ["cpu", "cuda"])
+def test_the_scripts_train(script: object, device: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    if device == "cuda" and not torch.cuda.is_available():
+        pytest.skip("there is no CUDA device here")
+    words = ["--steps", "60", "--images", "20", "--batch", "2", "--checkpoint-every", "60", "--device", device]
+    few = ["--views", "2", "--rendered", "160", "120"] if script is monocular else []
+    monkeypatch.setattr(script, "WIDTH_PX", 128)
+    monkeypatch.setattr(script, "HEIGHT_PX", 96)
+    monkeypatch.setattr("sys.argv", ["script", "--out", str(tmp_path), *words, *few])
+    script.main()  # type: ignore[attr-defined]
+    lines = [json.loads(line) for line in (tmp_path / "log.jsonl").read_text().splitlines()]
+    assert [line["step"] for line in lines] == [50, 60]
+    assert all(np.isfinite(list(lines[0].values())))
+    if script is detector:
+        for name in ("start", "again"):
+            torch.manual_seed(0)
+            export_detector2d(Detector2D(), tmp_path / name)
+        start, again, made = ((tmp_path / name).read_bytes() for name in ("start", "again", "detector2d.onnx"))
+        assert start == again != made
+        return
+    torch.manual_seed(0)
+    before, after = SmallNetwork().heads, load_network(tmp_path / "mono_small.safetensors").heads
+    moved = [
+        float((one - two).abs().max().detach())
+        for one, two in zip(before.parameters(), after.parameters(), strict=True)
+    ]
+    assert min(moved) > 0
+    assert max(moved) > 1e-3

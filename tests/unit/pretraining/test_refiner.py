@@ -1,0 +1,88 @@
+"""The script that makes the bundled edge refiner: what it shows the network, and that it trains."""
+
+from __future__ import annotations
+
+import itertools
+import json
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+import torch
+
+from wibam_core.detection.crops import CROP_PX
+from wibam_core.models.export import export_refiner2d
+from wibam_core.models.refiner2d import Refiner2D
+from wibam_core.pretraining import refiner
+from wibam_core.pretraining.common import PoolPlan, is_taught
+from wibam_core.pretraining.refiner import CropBatches, Patch, patches, sample
+from wibam_core.synthetic.sampling import sample_views
+
+SEED = 991_000
+PLAN = PoolPlan(SEED, "elevated", 40, 20, 2, (640, 360))
+
+
+@pytest.fixture(autouse=True)
+def _one_thread() -> None:
+    torch.set_num_threads(1)
+
+
+def test_patches_show_the_vehicles_and_know_both_boxes() -> None:
+    found = patches(SEED, 20)
+    views = list(sample_views(SEED, "elevated", 20, (640, 360)))
+    taught = [(view, row) for view in views for row in np.flatnonzero(is_taught(view))]
+    assert len(found) == len(taught) > 40
+    for patch, (view, row) in zip(found, taught, strict=True):
+        assert patch.vehicle_class == view.vehicles.classes[row]
+        grown = (patch.whole - patch.seen) * [-1, -1, 1, 1]
+        assert (grown > -1.5).all(), "what is seen lies within the whole"
+        seen = view.visible_boxes[row]
+        scale = (patch.seen[2:] - patch.seen[:2]) / (seen[2:] - seen[:2])
+        assert (scale < 1.05).all()
+        assert ((patch.seen[2:] - patch.seen[:2]) < 90).all()
+    assert any((patch.whole - patch.seen)[2] > 5 for patch in found), "some are partly hidden"
+
+
+def test_a_crop_keeps_the_edges_where_they_are_in_the_image() -> None:
+    """A bright rectangle on a dark ground: its border in the crop lies where the labels say."""
+    pixels = np.zeros((120, 160, 7), np.uint8)
+    pixels[..., 6] = 255
+    pixels[40:80, 50:110, :3] = 200
+    seen = np.array([49.5, 39.5, 109.5, 79.5])
+    patch = Patch(pixels, seen, seen + [0, 0, 12, 0], 0)
+    for number in range(20):
+        crop, edges, whole = sample(patch, np.random.default_rng(number))
+        assert crop.shape == (7, CROP_PX, CROP_PX)
+        bright = cv2.GaussianBlur(crop[:3].mean(axis=0), (3, 3), 0) > 0.5 * crop[:3].max()
+        columns, rows = (np.flatnonzero(bright.any(axis=axis)) for axis in (0, 1))
+        found = np.array([columns[0], rows[0], columns[-1] + 1, rows[-1] + 1]) / CROP_PX
+        np.testing.assert_allclose(np.clip(edges, 0, 1), found, atol=0.03)
+        longer = whole - edges
+        assert np.isclose(np.abs(longer).max(), 12 / 60 * (edges[2] - edges[0]))
+        assert longer[2] > 0 or longer[0] < 0, "mirrored with the image"
+
+
+def test_a_seed_gives_the_same_batches() -> None:
+    first, again, other = (list(CropBatches(PLAN, 4, 3, seed)) for seed in (0, 0, 1))
+    assert all(torch.equal(one.images, two.images) for one, two in zip(first, again, strict=True))
+    assert not any(torch.equal(one.images, two.images) for one, two in zip(first, other, strict=True))
+    assert not any(torch.equal(one.images, two.images) for one, two in itertools.combinations(first, 2))
+    assert first[0].images.shape == (3, 7, CROP_PX, CROP_PX)
+
+
+@pytest.mark.parametrize("device", ["cpu", "cuda"])
+def test_the_script_trains(device: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    if device == "cuda" and not torch.cuda.is_available():
+        pytest.skip("there is no CUDA device here")
+    monkeypatch.setattr(refiner, "VALIDATION_VIEWS", 20)
+    words = ["--steps", "60", "--images", "20", "--batch", "4", "--checkpoint-every", "60", "--device", device]
+    monkeypatch.setattr("sys.argv", ["script", "--out", str(tmp_path), *words])
+    refiner.main()
+    training, validation = (json.loads(line) for line in (tmp_path / "log.jsonl").read_text().splitlines())
+    assert (training["step"], validation["step"]) == (50, 60)
+    assert np.isfinite(list(training.values())).all() and np.isfinite(list(validation.values())).all()
+    assert 0 < validation["hidden_share"] < 0.5
+    torch.manual_seed(0)
+    export_refiner2d(Refiner2D(), tmp_path / "start", CROP_PX)
+    assert (tmp_path / "start").read_bytes() != (tmp_path / "refiner2d.onnx").read_bytes()

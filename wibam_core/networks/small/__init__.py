@@ -1,0 +1,1 @@
+"""The small centre-point network that ships with the project."""

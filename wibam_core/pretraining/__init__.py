@@ -1,0 +1,1 @@
+"""How the bundled networks were made: scripts, one a network, and what they share."""
