@@ -29,6 +29,7 @@ from wibam_core.formats.framestore import FrameStore
 from wibam_core.formats.labels import read_labels
 from wibam_core.formats.rig import read_rig
 from wibam_core.formats.vehicles3d import read_vehicles3d
+from wibam_core.geometry.box3d import XY, YAW
 from wibam_core.geometry.se3 import normalise_angle
 from wibam_core.models.stored_frames import stored_frames
 from wibam_core.networks.dla34.architecture import DLA34
@@ -213,7 +214,7 @@ def true_lifts(site: Site) -> list[Vehicles3D]:
         if labelled is None or not vehicles or not len(labelled.vehicles):
             continue
         places = np.array([(vehicle.x_m, vehicle.y_m) for vehicle in vehicles])
-        distance = np.linalg.norm(places[:, None] - labelled.vehicles.boxes[None, :, :2], axis=-1)
+        distance = np.linalg.norm(places[:, None] - labelled.vehicles.boxes[None, :, XY], axis=-1)
         rows, columns = assign(distance, _SAME_VEHICLE_M)
         ids = np.array([vehicles[row].track_id for row in rows], np.int64)
         truth = labelled.vehicles
@@ -278,8 +279,8 @@ def label_figures(site: Site) -> Figures:
             truth = labelled.vehicles.boxes
             match = match_on_ground(truth, np.ones(len(truth), bool), vehicles.boxes, EvaluateConfig().match_distance_m)
             fits, boxes = vehicles.boxes[match.detections].copy(), truth[match.labels]
-            off = np.abs(normalise_angle(fits[:, 6] - boxes[:, 6])) > np.pi / 2
-            fits[off & (vehicles.sd[match.detections, 6] > FRONT_SD_RAD), 6] += np.pi
+            off = np.abs(normalise_angle(fits[:, YAW] - boxes[:, YAW])) > np.pi / 2
+            fits[off & (vehicles.sd[match.detections, YAW] > FRONT_SD_RAD), YAW] += np.pi
             ours.append(fits)
             theirs.append(boxes)
     metrics = compare(np.concatenate(ours), np.concatenate(theirs))

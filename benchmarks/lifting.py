@@ -28,6 +28,7 @@ from wibam_core.detection.detector import BUNDLED, Detector, load_detector
 from wibam_core.formats.annotations import read_annotations, write_annotations
 from wibam_core.formats.labels import read_labels, write_labels
 from wibam_core.formats.rig import read_rig, write_rig
+from wibam_core.geometry.box3d import SIZE, SIZE_XY, XY, YAW
 from wibam_core.geometry.boxes2d import clipped_to_image, image_iou, sides_px
 from wibam_core.geometry.iou import bev_iou_paired, iou_3d_paired
 from wibam_core.lifting.lift import lift
@@ -112,7 +113,7 @@ def _record(seed: int, seconds: float, detector: Detector | None) -> Site:
                     views.setdefault(there[k].vehicle_id, {})[camera_id] = row
             detections[camera_id] = Detections2D(camera_id, frame_ns, *seen)
         vehicles = tuple(
-            MultiViewVehicle(n, i, present[number[i]].model.vehicle_class, *boxes[number[i]][:2].tolist(), seen)
+            MultiViewVehicle(n, i, present[number[i]].model.vehicle_class, *boxes[number[i]][XY].tolist(), seen)
             for n, (i, seen) in enumerate(sorted(views.items()))
         )
         instants.append(AnnotatedInstant(time_ns, detections, vehicles))
@@ -193,18 +194,18 @@ class Matched:
         return Matched(*(p[keep] for p in parts), self.lost)
 
     def yaw_error_deg(self) -> np.ndarray:
-        return np.degrees(np.abs((self.boxes[:, 6] - self.truth[:, 6] + np.pi) % (2 * np.pi) - np.pi))
+        return np.degrees(np.abs((self.boxes[:, YAW] - self.truth[:, YAW] + np.pi) % (2 * np.pi) - np.pi))
 
     def line(self, name: str) -> str:
         if not len(self.boxes):
             return f"{name:16s} none"
         iou = bev_iou_paired(self.boxes, self.truth)
         volume = iou_3d_paired(self.boxes, self.truth)
-        ate = np.hypot(*(self.boxes - self.truth)[:, :2].T)
-        small = np.minimum(self.boxes[:, 3:5], self.truth[:, 3:5]).prod(axis=1)
-        ase = 1 - small / (self.boxes[:, 3:5].prod(axis=1) + self.truth[:, 3:5].prod(axis=1) - small)
+        ate = np.hypot(*(self.boxes - self.truth)[:, XY].T)
+        small = np.minimum(self.boxes[:, SIZE_XY], self.truth[:, SIZE_XY]).prod(axis=1)
+        ase = 1 - small / (self.boxes[:, SIZE_XY].prod(axis=1) + self.truth[:, SIZE_XY].prod(axis=1) - small)
         yaw = self.yaw_error_deg()
-        ratio = np.exp(np.median(np.log(self.boxes[:, 3:6] / self.truth[:, 3:6]), axis=0))
+        ratio = np.exp(np.median(np.log(self.boxes[:, SIZE] / self.truth[:, SIZE]), axis=0))
         return (
             f"{name:16s} n {len(iou):5d}  BEV {iou.mean():.3f} (p10 {np.percentile(iou, 10):.2f})"
             f"  3D {volume.mean():.3f}  ATE {ate.mean():.3f} m  ASE {ase.mean():.3f}"
@@ -267,11 +268,11 @@ def breakdown(all_: Matched) -> None:
     edges = np.quantile(all_.scores, [0, 0.1, 0.25, 0.5, 0.75, 1])
     for low, high in pairwise(edges):
         print(all_.where((all_.scores >= low) & (all_.scores <= high)).line(f"score {low:.2f}-{high:.2f}"))
-    known = all_.sd[:, 6] < 1
+    known = all_.sd[:, YAW] < 1
     print(all_.where(known).line("front known"))
     print(all_.where(~known).line("front unknown"))
     error = all_.boxes - all_.truth
-    error[:, 6] = np.radians(all_.yaw_error_deg())
+    error[:, YAW] = np.radians(all_.yaw_error_deg())
     z = np.percentile(np.abs(error / all_.sd), 68, axis=0)
     print("68th percentile of |error| / s.d. (x y z l w h yaw):", z.round(2).tolist(), "false vehicles:", all_.lost)
 

@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from wibam_core.config import SafetyConfig, TrackConfig
+from wibam_core.geometry.box3d import XY, YAW
 from wibam_core.geometry.se3 import normalise_angle
 from wibam_core.road_users import CLASSES
 from wibam_core.safety.conflicts import find_conflicts
@@ -50,15 +51,15 @@ class Detector:
         present, boxes = traffic.at(frame_time_ns * 1e-9)
         found, sd = [], []
         for vehicle, box in zip(present, boxes, strict=True):
-            distance = float(np.hypot(*(box[:2] - self._place)))
-            if distance > CAMERA_RANGE_M or np.hypot(*box[:2]) > RADIUS_M or rng.random() > RECALL:
+            distance = float(np.hypot(*(box[XY] - self._place)))
+            if distance > CAMERA_RANGE_M or np.hypot(*box[XY]) > RADIUS_M or rng.random() > RECALL:
                 continue
             if vehicle.vehicle_id not in self._lasting or rng.random() < 0.05:
                 self._lasting[vehicle.vehicle_id] = rng.normal(size=7)
             spread = ERROR_SD * np.array([distance / 25, distance / 25, 1, 1, 1, 1, 1])
             error = np.sqrt(0.5) * (self._lasting[vehicle.vehicle_id] + rng.normal(size=7))
             seen = box + error * spread
-            seen[6] = normalise_angle(seen[6] + np.pi * (rng.random() < TURNED))
+            seen[YAW] = normalise_angle(seen[YAW] + np.pi * (rng.random() < TURNED))
             found.append(seen)
             sd.append(spread)
         for _ in range(rng.poisson(FALSE_BOXES)):
@@ -79,7 +80,7 @@ def true_tracks(traffic: Traffic, instants: Sequence[int]) -> list[Track]:
     rows: dict[int, list[tuple[int, Array]]] = {}
     for instant in instants:
         for vehicle, box in zip(*traffic.at(instant * 1e-9), strict=True):
-            if np.hypot(*box[:2]) < RADIUS_M:
+            if np.hypot(*box[XY]) < RADIUS_M:
                 rows.setdefault(vehicle.vehicle_id, []).append((instant, box))
     tracks = []
     for vehicle_id, states in rows.items():
@@ -89,8 +90,8 @@ def true_tracks(traffic: Traffic, instants: Sequence[int]) -> list[Track]:
             continue
         times, boxes = times[:end], np.array([box for _, box in states[:end]])
         seconds = times * 1e-9
-        velocities = np.gradient(boxes[:, :2], seconds, axis=0)
-        turning = np.gradient(np.unwrap(boxes[:, 6]), seconds)
+        velocities = np.gradient(boxes[:, XY], seconds, axis=0)
+        turning = np.gradient(np.unwrap(boxes[:, YAW]), seconds)
         tracks.append(Track(vehicle_id, CLASSES[0], times, boxes, np.full((end, 7), 0.02), velocities, turning))
     return tracks
 
@@ -104,11 +105,11 @@ def standardised_errors(truth: Sequence[Track], found: Sequence[Track]) -> Array
     errors = []
     for track in found:
         for time_ns, box, sd in zip(track.times_ns.tolist(), track.boxes, track.sd, strict=True):
-            near = min(at.get(time_ns, []), key=lambda true: float(np.hypot(*(true[:2] - box[:2]))), default=None)
-            if near is None or np.hypot(*(near[:2] - box[:2])) > 2:
+            near = min(at.get(time_ns, []), key=lambda true: float(np.hypot(*(true[XY] - box[XY]))), default=None)
+            if near is None or np.hypot(*(near[XY] - box[XY])) > 2:
                 continue
             error = box - near
-            error[6] = normalise_angle(error[6])
+            error[YAW] = normalise_angle(error[YAW])
             errors.append(error / sd)
     return np.array(errors).reshape(-1, 7)
 

@@ -33,6 +33,7 @@ from torch import Tensor
 
 from wibam_core.config import FinetuneConfig
 from wibam_core.formats.framestore import FrameStore, FrameStoreWriter
+from wibam_core.geometry.box3d import XY
 from wibam_core.geometry.torch_ops import CameraTensors, corners, giou, tight_boxes, to_camera
 from wibam_core.models.frames import INPUT_WIDTH_PX, to_input
 from wibam_core.networks.dla34.architecture import DLA34
@@ -112,7 +113,7 @@ def _annotated(
         classes = np.array([present[k].model.vehicle_class.number for k in seen], np.int64)
         detections[name] = Detections2D(name, time_ns, drawing.visible_boxes[seen], np.ones(len(seen)), classes)
     vehicles = tuple(
-        MultiViewVehicle(k, one.vehicle_id, one.model.vehicle_class, *boxes[k][:2].tolist(), rows[k])
+        MultiViewVehicle(k, one.vehicle_id, one.model.vehicle_class, *boxes[k][XY].tolist(), rows[k])
         for k, one in enumerate(present)
         if rows[k]
     )

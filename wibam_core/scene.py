@@ -13,7 +13,7 @@ from types import MappingProxyType
 import numpy as np
 from numpy.typing import NDArray
 
-from wibam_core.geometry.box3d import Box3D
+from wibam_core.geometry.box3d import SIZE, Box3D
 from wibam_core.geometry.camera import Camera
 from wibam_core.road_users import CLASSES, RoadUserClass
 
@@ -184,7 +184,7 @@ class Vehicles3D:
         lengths = {name: len(value) for name, value in fields.items()}
         if set(lengths.values()) != {n}:
             raise ValueError(f"unequal lengths: {lengths}")
-        if not np.isfinite(boxes).all() or (boxes[:, 3:6] <= 0).any():
+        if not np.isfinite(boxes).all() or (boxes[:, SIZE] <= 0).any():
             raise ValueError("boxes must be finite with positive sizes")
         for name, value in fields.items():
             object.__setattr__(self, name, value)

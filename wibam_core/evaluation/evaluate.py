@@ -13,6 +13,7 @@ from wibam_core.config import EvaluateConfig
 from wibam_core.evaluation.labels_at import LabelTimeline
 from wibam_core.evaluation.matching import match_in_image, match_on_ground, paper_filter
 from wibam_core.evaluation.metrics import MatchMetrics, alias_share, box_errors, compare, compare_as_published
+from wibam_core.geometry.box3d import XY, Z
 from wibam_core.geometry.camera import Camera
 from wibam_core.scene import LabelledInstant, Vehicles3D
 
@@ -118,14 +119,14 @@ def _compare_frame(
 ) -> _Frame:
     labels = instant.vehicles
     visibility = np.asarray(instant.visibility.get(str(found.camera_id), np.zeros(len(labels))), dtype=np.float64)
-    distance = np.linalg.norm(labels.boxes[:, :2] - camera.centre_m[:2], axis=1)
-    elevation = np.degrees(np.arctan2(camera.centre_m[2] - labels.boxes[:, 2], distance))
+    distance = np.linalg.norm(labels.boxes[:, XY] - camera.centre_m[:2], axis=1)
+    elevation = np.degrees(np.arctan2(camera.centre_m[2] - labels.boxes[:, Z], distance))
     if mode == "paper_compat":
         found = found.where(paper_filter(found.boxes, found.scores))
         match = match_in_image(labels.boxes, visibility > 0, found.boxes, camera)
     else:
         found = found.where(found.scores >= config.min_score)
-        in_range = np.linalg.norm(found.boxes[:, :2] - camera.centre_m[:2], axis=1) <= config.max_range_m
+        in_range = np.linalg.norm(found.boxes[:, XY] - camera.centre_m[:2], axis=1) <= config.max_range_m
         counts = (visibility > config.min_visibility) & (distance <= config.max_range_m)
         match = match_on_ground(labels.boxes, counts, found.boxes, config.match_distance_m)
         false_positives = match.false_positives[in_range[match.false_positives]]

@@ -11,6 +11,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from wibam_core.geometry.box3d import YAW
 from wibam_core.geometry.se3 import normalise_angle
 from wibam_core.scene import LabelledInstant, Vehicles3D
 
@@ -71,7 +72,7 @@ def _between(first: LabelledInstant, second: LabelledInstant, time_ns: int) -> L
     i = np.array([p for p, _ in pairs], np.int64)
     j = np.array([q for _, q in pairs], np.int64)
     boxes = a.boxes[i] + share * (b.boxes[j] - a.boxes[i])
-    boxes[:, 6] = normalise_angle(a.boxes[i, 6] + share * normalise_angle(b.boxes[j, 6] - a.boxes[i, 6]))
+    boxes[:, YAW] = normalise_angle(a.boxes[i, YAW] + share * normalise_angle(b.boxes[j, YAW] - a.boxes[i, YAW]))
     alone_a = np.setdiff1d(np.arange(len(a)), i)
     alone_b = np.setdiff1d(np.arange(len(b)), j)
     visibility = {}

@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import linear_sum_assignment
 
+from wibam_core.geometry.box3d import SIZE, XY
 from wibam_core.geometry.boxes2d import image_iou
 from wibam_core.geometry.camera import Camera
 from wibam_core.geometry.projection import project_boxes
@@ -62,7 +63,7 @@ def match_on_ground(labels: Array, counts: NDArray[np.bool_], detections: Array,
         detections: (N, 7).
         max_distance_m: a pair this far apart or farther is no match.
     """
-    distance = np.linalg.norm(labels[:, None, :2] - detections[None, :, :2], axis=-1)
+    distance = np.linalg.norm(labels[:, None, XY] - detections[None, :, XY], axis=-1)
     near = distance < max_distance_m
     rows, columns = assign(distance, max_distance_m)
     hits = counts[rows]
@@ -95,4 +96,4 @@ def match_in_image(labels: Array, visible: NDArray[np.bool_], detections: Array,
 
 def paper_filter(detections: Array, scores: Array) -> Indices:
     """As published: detections with a score of at least 0.4 and no side over 6 m (no truck or bus remains)."""
-    return np.flatnonzero((scores >= PAPER_MIN_SCORE) & (detections[:, 3:6] <= PAPER_MAX_SIDE_M).all(axis=1))
+    return np.flatnonzero((scores >= PAPER_MIN_SCORE) & (detections[:, SIZE] <= PAPER_MAX_SIDE_M).all(axis=1))

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from wibam_core.geometry.box3d import LENGTH, SIZE, WIDTH, XY, XYZ, YAW
 from wibam_core.geometry.iou import bev_intersection_paired, bev_iou_paired, iou_3d_paired
 from wibam_core.geometry.se3 import normalise_angle
 
@@ -41,16 +42,16 @@ def compare(predicted: Array, truth: Array) -> MatchMetrics:
     return MatchMetrics(
         bev_iou=bev_iou_paired(predicted, truth),
         iou_3d=iou_3d_paired(predicted, truth),
-        ate_m=np.linalg.norm(predicted[:, :3] - truth[:, :3], axis=1),
+        ate_m=np.linalg.norm(predicted[:, XYZ] - truth[:, XYZ], axis=1),
         ase=scale_error(predicted, truth),
-        aoe_deg=np.degrees(np.abs(normalise_angle(predicted[:, 6] - truth[:, 6]))),
+        aoe_deg=np.degrees(np.abs(normalise_angle(predicted[:, YAW] - truth[:, YAW]))),
     )
 
 
 def box_errors(predicted: Array, truth: Array) -> Array:
     """(K, 7) predicted less true boxes (K, 7), the yaw in (−π, π]."""
     errors = predicted - truth
-    errors[:, 6] = normalise_angle(errors[:, 6])
+    errors[:, YAW] = normalise_angle(errors[:, YAW])
     return errors
 
 
@@ -63,12 +64,12 @@ def compare_as_published(predicted: Array, truth: Array) -> MatchMetrics:
     """
     exact = compare(predicted, truth)
     area = bev_intersection_paired(predicted, truth)
-    volumes = predicted[:, 3:6].prod(axis=1) + truth[:, 3:6].prod(axis=1)
+    volumes = predicted[:, SIZE].prod(axis=1) + truth[:, SIZE].prod(axis=1)
     overlap = exact.iou_3d * volumes / (1.0 + exact.iou_3d)
     return MatchMetrics(
         bev_iou=exact.bev_iou,
         iou_3d=overlap / (volumes - area),
-        ate_m=np.linalg.norm(predicted[:, :2] - truth[:, :2], axis=1),
+        ate_m=np.linalg.norm(predicted[:, XY] - truth[:, XY], axis=1),
         ase=exact.ase,
         aoe_deg=np.where(exact.aoe_deg < PAPER_ALIAS_DEG, exact.aoe_deg, np.nan),
     )
@@ -81,6 +82,6 @@ def alias_share(predicted: Array, truth: Array) -> float:
 
 def scale_error(predicted: Array, truth: Array) -> Array:
     """1 − IoU (K,) of footprints of boxes (K, 7) with the same centre and yaw."""
-    overlap = np.minimum(predicted[:, 3], truth[:, 3]) * np.minimum(predicted[:, 4], truth[:, 4])
-    union = predicted[:, 3] * predicted[:, 4] + truth[:, 3] * truth[:, 4] - overlap
+    overlap = np.minimum(predicted[:, LENGTH], truth[:, LENGTH]) * np.minimum(predicted[:, WIDTH], truth[:, WIDTH])
+    union = predicted[:, LENGTH] * predicted[:, WIDTH] + truth[:, LENGTH] * truth[:, WIDTH] - overlap
     return 1.0 - overlap / union

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from wibam_core.evaluation.matching import assign
 from wibam_core.evaluation.summary import mean_sd
+from wibam_core.geometry.box3d import X, Y
 from wibam_core.geometry.boxes2d import image_iou
 from wibam_core.geometry.camera import Camera
 from wibam_core.geometry.projection import project_boxes
@@ -102,8 +103,8 @@ def agreements(
                         int(column),
                         seen[row].track_id,
                         detected.frame_time_ns * 1e-9,
-                        float(box[0]),
-                        float(box[1]),
+                        float(box[X]),
+                        float(box[Y]),
                         float(overlap[row, column]),
                         tuple(
                             _overlap(rig[view], box, instant.detections[view].boxes[index])

@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import ndtri
 
+from wibam_core.geometry.box3d import YAW
 from wibam_core.scene import Vehicles3D
 
 Array = NDArray[np.float64]
@@ -93,5 +94,5 @@ class SdFactors:
     def apply(self, vehicles: Vehicles3D) -> Vehicles3D:
         """The vehicles with these standard deviations; a heading is never less certain than not at all (π)."""
         sd = vehicles.sd * self.columns()
-        sd[:, 6] = np.minimum(sd[:, 6], math.pi)
+        sd[:, YAW] = np.minimum(sd[:, YAW], math.pi)
         return replace(vehicles, sd=sd)

@@ -17,7 +17,7 @@ import pyarrow as pa
 
 from wibam_core.errors import InvalidLabels
 from wibam_core.formats import tables
-from wibam_core.geometry.box3d import BOX_FIELDS
+from wibam_core.geometry.box3d import BOX_FIELDS, SIZE
 from wibam_core.road_users import CLASSES
 from wibam_core.scene import LabelledInstant, Vehicles3D
 
@@ -146,7 +146,7 @@ def _check(times: np.ndarray, boxes: np.ndarray, ids: np.ndarray, visibility: li
         where = f"label {i} at {times[i]} ns"
         if not np.isfinite(box).all():
             raise InvalidLabels(f"{where} has a number that is not finite", hint="Correct it.", row=i)
-        if (box[3:6] <= 0).any():
+        if (box[SIZE] <= 0).any():
             raise InvalidLabels(f"{where} has a size that is not positive", hint="Sizes are in metres.", row=i)
         for camera, share in visibility[i].items():
             if share is None or not 0 <= share <= 1:

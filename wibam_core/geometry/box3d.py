@@ -31,6 +31,12 @@ from wibam_core.geometry.se3 import SE3, normalise_angle
 Array = NDArray[np.float64]
 
 BOX_FIELDS = ("x_m", "y_m", "z_m", "length_m", "width_m", "height_m", "yaw_rad")
+#: The columns of boxes (..., 7), and of their errors and standard deviations.
+X, Y, Z, LENGTH, WIDTH, HEIGHT, YAW = range(7)
+#: The centre over the ground and in space; length, width and height; the footprint's sides.
+XY, XYZ, SIZE, SIZE_XY = slice(X, Z), slice(X, LENGTH), slice(LENGTH, YAW), slice(LENGTH, HEIGHT)
+#: What changes as a vehicle moves.
+POSE = [X, Y, YAW]
 
 #: (8, 3) corners of the unit box, in the numbering above; multiply by (length, width, height).
 UNIT_CORNERS: Array = 0.5 * np.array(
@@ -62,8 +68,8 @@ class Box3D:
         values = self.to_array()
         if not np.isfinite(values).all():
             raise ValueError(f"a box needs finite numbers, got {values}")
-        if (values[3:6] <= 0).any():
-            raise ValueError(f"a box needs positive sizes, got {values[3:6]}")
+        if (values[SIZE] <= 0).any():
+            raise ValueError(f"a box needs positive sizes, got {values[SIZE]}")
         object.__setattr__(self, "yaw_rad", float(normalise_angle(self.yaw_rad)))
 
     @classmethod
@@ -88,17 +94,17 @@ def vehicle_to_world(boxes: ArrayLike, points_vehicle: ArrayLike) -> Array:
     """Points (..., K, 3) in m in the vehicle frames of boxes (..., 7), in the world (..., K, 3)."""
     b = np.asarray(boxes, dtype=np.float64)
     points = np.asarray(points_vehicle, dtype=np.float64)
-    c, s = np.cos(b[..., 6, None]), np.sin(b[..., 6, None])
-    x = c * points[..., 0] - s * points[..., 1] + b[..., 0, None]
-    y = s * points[..., 0] + c * points[..., 1] + b[..., 1, None]
-    z = points[..., 2] + b[..., 2, None]
+    c, s = np.cos(b[..., YAW, None]), np.sin(b[..., YAW, None])
+    x = c * points[..., 0] - s * points[..., 1] + b[..., X, None]
+    y = s * points[..., 0] + c * points[..., 1] + b[..., Y, None]
+    z = points[..., 2] + b[..., Z, None]
     return np.stack([x, y, z], axis=-1)
 
 
 def corners(boxes: ArrayLike) -> Array:
     """World corners (..., 8, 3) of boxes (..., 7), in the numbering of this module."""
     b = np.asarray(boxes, dtype=np.float64)
-    return vehicle_to_world(b, UNIT_CORNERS * b[..., None, 3:6])
+    return vehicle_to_world(b, UNIT_CORNERS * b[..., None, SIZE])
 
 
 def footprints(boxes: ArrayLike) -> Array:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from wibam_core.geometry.box3d import footprints
+from wibam_core.geometry.box3d import HEIGHT, LENGTH, SIZE, WIDTH, XY, YAW, Z, footprints
 
 Array = NDArray[np.float64]
 
@@ -50,14 +50,14 @@ def bev_intersection_paired(a: ArrayLike, b: ArrayLike) -> Array:
 
 def _bev_intersection(a: Array, b: Array) -> Array:
     out = np.zeros(len(a))
-    reach = 0.5 * (np.hypot(a[:, 3], a[:, 4]) + np.hypot(b[:, 3], b[:, 4]))
-    near = np.hypot(*(a[:, :2] - b[:, :2]).T) < reach
+    reach = 0.5 * (np.hypot(a[:, LENGTH], a[:, WIDTH]) + np.hypot(b[:, LENGTH], b[:, WIDTH]))
+    near = np.hypot(*(a[:, XY] - b[:, XY]).T) < reach
     if not near.any():
         return out
     a, b = a[near], b[near]
     # In a's own frame a is axis-aligned, so that the four half-planes are exact.
-    c, s = np.cos(a[:, 6]), np.sin(a[:, 6])
-    world = footprints(b) - a[:, None, :2]
+    c, s = np.cos(a[:, YAW]), np.sin(a[:, YAW])
+    world = footprints(b) - a[:, None, XY]
     polygon = np.stack(
         [
             c[:, None] * world[..., 0] + s[:, None] * world[..., 1],
@@ -65,7 +65,7 @@ def _bev_intersection(a: Array, b: Array) -> Array:
         ],
         axis=-1,
     )
-    for axis, half in ((0, 0.5 * a[:, 3]), (1, 0.5 * a[:, 4])):
+    for axis, half in ((0, 0.5 * a[:, LENGTH]), (1, 0.5 * a[:, WIDTH])):
         for sign in (1.0, -1.0):
             normal = np.zeros((len(a), 2))
             normal[:, axis] = sign
@@ -78,16 +78,16 @@ def bev_iou_paired(a: ArrayLike, b: ArrayLike) -> Array:
     """Bird's-eye-view IoU (P,) of boxes a (P, 7) and b (P, 7), pair by pair."""
     first, second = _as_boxes(a), _as_boxes(b)
     overlap = _bev_intersection(first, second)
-    return overlap / (first[:, 3] * first[:, 4] + second[:, 3] * second[:, 4] - overlap)
+    return overlap / (first[:, LENGTH] * first[:, WIDTH] + second[:, LENGTH] * second[:, WIDTH] - overlap)
 
 
 def iou_3d_paired(a: ArrayLike, b: ArrayLike) -> Array:
     """Volume IoU (P,) of upright boxes a (P, 7) and b (P, 7), pair by pair."""
     first, second = _as_boxes(a), _as_boxes(b)
-    top = np.minimum(first[:, 2] + first[:, 5] / 2, second[:, 2] + second[:, 5] / 2)
-    bottom = np.maximum(first[:, 2] - first[:, 5] / 2, second[:, 2] - second[:, 5] / 2)
+    top = np.minimum(first[:, Z] + first[:, HEIGHT] / 2, second[:, Z] + second[:, HEIGHT] / 2)
+    bottom = np.maximum(first[:, Z] - first[:, HEIGHT] / 2, second[:, Z] - second[:, HEIGHT] / 2)
     overlap = _bev_intersection(first, second) * np.maximum(top - bottom, 0.0)
-    return overlap / (first[:, 3:6].prod(axis=1) + second[:, 3:6].prod(axis=1) - overlap)
+    return overlap / (first[:, SIZE].prod(axis=1) + second[:, SIZE].prod(axis=1) - overlap)
 
 
 def _all_pairs(a: ArrayLike, b: ArrayLike) -> tuple[Array, Array, tuple[int, int]]:

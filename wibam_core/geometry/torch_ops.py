@@ -13,7 +13,7 @@ import torch
 from torch import Tensor
 
 from wibam_core.geometry import distortion
-from wibam_core.geometry.box3d import EDGES, UNIT_CORNERS
+from wibam_core.geometry.box3d import EDGES, SIZE, UNIT_CORNERS, YAW, X, Y, Z
 from wibam_core.geometry.camera import Camera
 from wibam_core.geometry.projection import EDGE_SHARES, NEAR_M
 
@@ -84,17 +84,17 @@ def _like(values: Tensor, points: Tensor, trailing: int) -> Tensor:
 
 def vehicle_to_world(boxes: Tensor, points_vehicle: Tensor) -> Tensor:
     """Points (..., K, 3) in the vehicle frames of boxes (..., 7), in the world (..., K, 3)."""
-    c, s = boxes[..., 6:7].cos(), boxes[..., 6:7].sin()
-    x = c * points_vehicle[..., 0] - s * points_vehicle[..., 1] + boxes[..., 0:1]
-    y = s * points_vehicle[..., 0] + c * points_vehicle[..., 1] + boxes[..., 1:2]
-    z = points_vehicle[..., 2] + boxes[..., 2:3]
+    c, s = boxes[..., YAW, None].cos(), boxes[..., YAW, None].sin()
+    x = c * points_vehicle[..., 0] - s * points_vehicle[..., 1] + boxes[..., X, None]
+    y = s * points_vehicle[..., 0] + c * points_vehicle[..., 1] + boxes[..., Y, None]
+    z = points_vehicle[..., 2] + boxes[..., Z, None]
     return torch.stack([x, y, z], dim=-1)
 
 
 def corners(boxes: Tensor) -> Tensor:
     """World corners (..., 8, 3) of boxes (..., 7), numbered as in `wibam_core.geometry.box3d`."""
     unit = torch.as_tensor(UNIT_CORNERS.copy(), dtype=boxes.dtype, device=boxes.device)
-    return vehicle_to_world(boxes, unit * boxes[..., None, 3:6])
+    return vehicle_to_world(boxes, unit * boxes[..., None, SIZE])
 
 
 def to_camera(cameras: CameraTensors, points_world: Tensor) -> Tensor:

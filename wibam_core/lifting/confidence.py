@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from wibam_core.geometry.box3d import WIDTH, X, Y
 from wibam_core.scene import FloatArray
 
 
@@ -22,7 +23,7 @@ def confidence(
         boxes: (N, 7).
         max_residual: largest residual that is kept.
     """
-    place = np.exp(-2.0 * np.hypot(sd[:, 0], sd[:, 1]) / boxes[:, 4])
+    place = np.exp(-2.0 * np.hypot(sd[:, X], sd[:, Y]) / boxes[:, WIDTH])
     fit = np.clip(1.0 - 0.25 * (residual / max_residual) ** 2, 0.0, 1.0)
     contradiction = 1.0 - 0.1 * 0.5 ** (np.asarray(views, dtype=np.float64) - 1.0)
     return np.asarray(place * fit * contradiction)

@@ -20,6 +20,7 @@ from wibam_core.scene import FloatArray
 
 #: Order of the unknowns.
 X, Y, LOG_LENGTH, LOG_WIDTH, LOG_HEIGHT, YAW = range(6)
+PLACE, LOG_SIZE = slice(X, LOG_LENGTH), slice(LOG_LENGTH, YAW)
 
 #: Residuals beyond this many standard deviations lose weight (Cauchy).
 ROBUST_SD = 1.5
@@ -229,7 +230,7 @@ def _linearise(problem: FitProblem, parameters: Tensor) -> _State:
 def predicted_edges(problem: FitProblem, parameters: Tensor) -> tuple[Tensor, Tensor, Tensor, Tensor]:
     """Edges (B, V, 4) of the body's image boxes, their derivatives (B, V, 4, 6), which edges can be compared both ways
     (B, V, 4), and which views can be compared at all (B, V)."""
-    size = parameters[:, LOG_LENGTH : LOG_HEIGHT + 1].exp()
+    size = parameters[:, LOG_SIZE].exp()
     cos, sin = parameters[:, YAW].cos(), parameters[:, YAW].sin()
     local = problem.body * size[:, None]
     local = torch.cat([local[..., :2], local[..., 2:] + 0.5 * size[:, None, 2:]], dim=-1)
@@ -242,7 +243,7 @@ def predicted_edges(problem: FitProblem, parameters: Tensor) -> tuple[Tensor, Te
         dim=-1,
     )
     rotation = problem.cameras.rotation
-    ground = parameters[:, None, :2] + problem.shift
+    ground = parameters[:, None, PLACE] + problem.shift
     base = (rotation[..., :2] @ ground[..., None])[..., 0] + problem.cameras.translation
     points = (turned[:, None] @ rotation.transpose(-1, -2)) + base[:, :, None]
     used = problem.seen & (points[..., 2].amin(dim=-1) > _NEAREST_M)

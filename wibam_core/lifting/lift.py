@@ -12,11 +12,25 @@ import torch
 
 from wibam_core.association.rays import rig_centre
 from wibam_core.config import LiftConfig
+from wibam_core.geometry.box3d import SIZE, XY
 from wibam_core.geometry.camera import Camera
 from wibam_core.geometry.se3 import SE3, normalise_angle
 from wibam_core.geometry.torch_ops import CameraTensors
 from wibam_core.lifting.confidence import confidence
-from wibam_core.lifting.fit import YAW, Fit, FitProblem, fit, joined, with_bodies, with_noise, yaw_starts
+from wibam_core.lifting.fit import (
+    LOG_SIZE,
+    PLACE,
+    YAW,
+    Fit,
+    FitProblem,
+    X,
+    Y,
+    fit,
+    joined,
+    with_bodies,
+    with_noise,
+    yaw_starts,
+)
 from wibam_core.lifting.headings import headings
 from wibam_core.lifting.noise import noise_of, persistence
 from wibam_core.lifting.observations import Observations, observe
@@ -123,14 +137,14 @@ def lift(
     parameters, covariance = _solution(first, problem)
 
     progress(0.5, "combining fits over tracks")
-    motion = smooth(tracks, parameters[:, :2], covariance[:, :2, :2])
+    motion = smooth(tracks, parameters[:, PLACE], covariance[:, PLACE, PLACE])
     yaw, yaw_sd = _headings(tracks, seen.classes, motion, _FIT_JUMP_M)
     standing = standing_headings(tracks, seen, parameters, covariance, yaw, yaw_sd, heading_hints or {})
     never = ~np.isfinite(yaw_sd)
     yaw, yaw_sd = np.where(never, standing.yaw_rad, yaw), np.where(never, standing.axis_sd_rad, yaw_sd)
     information = size_information(first.information.numpy().astype(np.float64))
     sizes, size_covariance = track_sizes(
-        tracks, parameters[:, 2:5], information, prior_mean, prior_sd, parameters[:, :2]
+        tracks, parameters[:, LOG_SIZE], information, prior_mean, prior_sd, parameters[:, PLACE]
     )
     own_size = tracks.scatter(np.repeat(sizes[:, None], tracks.valid.shape[1], axis=1), prior_mean.copy())
     size_sd = np.sqrt(np.diagonal(size_covariance, axis1=1, axis2=2))
@@ -139,24 +153,24 @@ def lift(
     progress(0.6, "fitting again with one size and heading per track")
     tight = np.full_like(own_size_sd, 0.01)
     problem = with_noise(_problem(seen, cameras, tracks, motion, own_size, tight, yaw, yaw_sd, shapes.bodies), noise)
-    start = np.concatenate([parameters[:, :2], own_size, yaw[:, None]], axis=1)
+    start = np.concatenate([parameters[:, PLACE], own_size, yaw[:, None]], axis=1)
     second = fit(problem, torch.as_tensor(start[:, None], dtype=torch.float32), config.iterations)
     parameters, covariance = _solution(second, problem)
 
     progress(0.9, "smoothing")
-    motion = smooth(tracks, parameters[:, :2], covariance[:, :2, :2])
+    motion = smooth(tracks, parameters[:, PLACE], covariance[:, PLACE, PLACE])
     sd = np.sqrt(np.diagonal(covariance, axis1=1, axis2=2)).copy()
     # smoothing averages errors out only as far as they change from one sighting to the next
     lasting = persistence(tracks, seen, first)
     smoothed_sd = np.sqrt(np.diagonal(motion.covariance, axis1=2, axis2=3)[..., :2] * (1 + lasting) / (1 - lasting))
-    sd[:, :2] = np.minimum(sd[:, :2], tracks.scatter(smoothed_sd, sd[:, :2].copy()))
-    sd[:, 2:5] = np.hypot(own_size_sd, _SIZE_FLOOR)
+    sd[:, PLACE] = np.minimum(sd[:, PLACE], tracks.scatter(smoothed_sd, sd[:, PLACE].copy()))
+    sd[:, LOG_SIZE] = np.hypot(own_size_sd, _SIZE_FLOOR)
     sd[:, YAW] = np.where(never, np.hypot(sd[:, YAW], standing.front_sd_rad), sd[:, YAW])
     residual = _residuals(second, seen)
     boxes = _boxes(parameters)
-    boxes[:, :2] = tracks.scatter(motion.position, boxes[:, :2].copy()) + origin
+    boxes[:, XY] = tracks.scatter(motion.position, boxes[:, XY].copy()) + origin
     scores = confidence(residual, views, sd, boxes, config.max_residual)
-    certain = np.hypot(sd[:, 0], sd[:, 1]) <= _FEW_VIEWS_SD_M
+    certain = np.hypot(sd[:, X], sd[:, Y]) <= _FEW_VIEWS_SD_M
     keep = (residual <= config.max_residual) & ((views >= config.min_views) | certain)
     vehicles = _by_instant(instants, seen, keep, boxes, _box_sd(sd, boxes), scores)
     progress(1.0, "lifted")
@@ -257,15 +271,15 @@ def _residuals(fitted: Fit, seen: Observations) -> FloatArray:
 
 def _boxes(parameters: FloatArray) -> FloatArray:
     """(N, 7) boxes of (N, 6) parameters."""
-    size = np.exp(parameters[:, 2:5])
+    size = np.exp(parameters[:, LOG_SIZE])
     yaw = normalise_angle(parameters[:, YAW])
-    return np.concatenate([parameters[:, :2], size[:, 2:] / 2, size, yaw[:, None]], axis=1)
+    return np.concatenate([parameters[:, PLACE], size[:, 2:] / 2, size, yaw[:, None]], axis=1)
 
 
 def _box_sd(sd: FloatArray, boxes: FloatArray) -> FloatArray:
     """(N, 7) s.d. of boxes from those of the parameters (N, 6)."""
-    size_sd = sd[:, 2:5] * boxes[:, 3:6]
-    return np.concatenate([sd[:, :2], size_sd[:, 2:] / 2, size_sd, sd[:, YAW:]], axis=1)
+    size_sd = sd[:, LOG_SIZE] * boxes[:, SIZE]
+    return np.concatenate([sd[:, PLACE], size_sd[:, 2:] / 2, size_sd, sd[:, YAW:]], axis=1)
 
 
 def _by_instant(

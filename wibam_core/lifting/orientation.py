@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.spatial import cKDTree
 
+from wibam_core.lifting.fit import PLACE, YAW
 from wibam_core.lifting.observations import Observations
 from wibam_core.lifting.trajectory import Tracks
 from wibam_core.scene import FloatArray
@@ -56,13 +57,13 @@ def standing_headings(
     n = len(seen)
     found = StandingHeadings(np.zeros(n), np.full(n, UNKNOWN_YAW_SD_RAD), np.full(n, UNKNOWN_YAW_SD_RAD))
     moving = np.isfinite(yaw_sd)
-    flow = cKDTree(parameters[moving, :2]) if moving.any() else None
+    flow = cKDTree(parameters[moving, PLACE]) if moving.any() else None
     for rows, valid in zip(tracks.rows, tracks.valid, strict=True):
         own = rows[valid]
         if moving[own].any():
             continue
-        weight = 1.0 / (covariance[own, 5, 5] + _AXIS_FLOOR_RAD**2)
-        doubled = np.sum(weight * np.exp(2j * parameters[own, 5])) / weight.sum()
+        weight = 1.0 / (covariance[own, YAW, YAW] + _AXIS_FLOOR_RAD**2)
+        doubled = np.sum(weight * np.exp(2j * parameters[own, YAW])) / weight.sum()
         axis = 0.5 * np.angle(doubled)
         # of independent directions with resultant length R the mean's doubled angle spreads as √(−2 ln R)
         spread = 0.5 * np.sqrt(-2 * np.log(np.clip(abs(doubled), 1e-3, 1 - 1e-9)))
@@ -71,7 +72,7 @@ def standing_headings(
         if hint is not None:
             along, doubt = np.cos(hint - axis), _HINT_SD_RAD
         elif flow is not None:
-            near = flow.query_ball_point(np.median(parameters[own, :2], axis=0), _FLOW_RADIUS_M)
+            near = flow.query_ball_point(np.median(parameters[own, PLACE], axis=0), _FLOW_RADIUS_M)
             along = float(np.cos(yaw[moving][near] - axis).sum())
             doubt = _FLOW_SD_RAD if abs(along) > _FLOW_VOTES else UNKNOWN_YAW_SD_RAD
         else:

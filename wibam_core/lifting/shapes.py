@@ -18,6 +18,7 @@ from wibam_core.geometry.gauss_newton import cauchy_weights, normal_equations
 from wibam_core.lifting.fit import (
     LOG_HEIGHT,
     LOG_LENGTH,
+    LOG_SIZE,
     ROBUST_SD,
     YAW,
     Fit,
@@ -218,7 +219,7 @@ def _of_sightings(shapes: Shapes, problem: FitProblem, fitted: Fit, classes: Int
     pose = [X, Y, YAW]
     shared = [*range(LOG_LENGTH, LOG_HEIGHT + 1), *range(6, 6 + len(MODES))]
     parameters = fitted.parameters.numpy().astype(np.float64)
-    at = np.concatenate([parameters[:, LOG_LENGTH : LOG_HEIGHT + 1] - LOG_SIZE_MEAN[classes], shapes.modes[classes]], 1)
+    at = np.concatenate([parameters[:, LOG_SIZE] - LOG_SIZE_MEAN[classes], shapes.modes[classes]], 1)
     # residuals of vehicles of usual size with the template as it was
     residual = residual - np.einsum("nej,nj->ne", flat[..., shared], at)
     hessian, gradient = (of.numpy() for of in normal_equations(*map(torch.from_numpy, (flat, residual, weight))))

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 from scipy.spatial import cKDTree
 
+from wibam_core.lifting.fit import LOG_HEIGHT, LOG_LENGTH, LOG_WIDTH, YAW, X, Y
 from wibam_core.lifting.trajectory import Tracks
 from wibam_core.scene import FloatArray
 
@@ -20,7 +21,7 @@ _PLACE_M, _SIGHTINGS_OF_PLACE = 2.0, 3.0
 
 def size_information(information: FloatArray) -> FloatArray:
     """(N, 3, 3) information on log sizes alone, of (N, 6, 6) on x, y, log sizes, yaw: position and yaw marginalised."""
-    sizes, others = [2, 3, 4], [0, 1, 5]
+    sizes, others = [LOG_LENGTH, LOG_WIDTH, LOG_HEIGHT], [X, Y, YAW]
     a = information[:, sizes][:, :, sizes]
     b = information[:, sizes][:, :, others]
     c = information[:, others][:, :, others] + 1e-6 * np.eye(3)

@@ -13,7 +13,7 @@ from matplotlib.lines import Line2D
 from matplotlib.patches import Polygon
 from numpy.typing import NDArray
 
-from wibam_core.geometry.box3d import footprints
+from wibam_core.geometry.box3d import LENGTH, XY, YAW, footprints
 from wibam_core.geometry.camera import Camera
 from wibam_core.geometry.ground import intersect_plane
 from wibam_core.report.mosaic import Extent
@@ -110,7 +110,7 @@ def tracks_figure(
         _prepare(axes, ground, title)
         _draw_rig(axes, rig, ground.extent)
     for vehicle_class in CLASSES:
-        lines = [track.boxes[:, :2] for track in tracks if track.vehicle_class == vehicle_class and len(track) > 1]
+        lines = [track.boxes[:, XY] for track in tracks if track.vehicle_class == vehicle_class and len(track) > 1]
         left.add_collection(LineCollection(lines, colors=vehicle_class.traits.colour, linewidths=1.1, alpha=0.75))
     _mark_conflicts(left, conflicts)
     _draw_speeds(figure, right, tracks)
@@ -129,14 +129,14 @@ def conflicts_figure(
     _prepare(axes, ground, "")
     _draw_rig(axes, rig, ground.extent, fields_of_view=False)
     involved = {track_id: mark.kind for mark in conflicts for track_id in mark.track_ids}
-    others = [track.boxes[:, :2] for track in tracks if track.track_id not in involved and len(track) > 1]
+    others = [track.boxes[:, XY] for track in tracks if track.track_id not in involved and len(track) > 1]
     # on a light casing, so that the grey shows on the orthophoto's grey road, too
     axes.add_collection(LineCollection(others, colors="white", linewidths=2.6, zorder=1.5))
     axes.add_collection(LineCollection(others, colors=MUTED, linewidths=1.2, zorder=1.6))
     for track in tracks:
         if track.track_id in involved:
             colour = CONFLICT_COLOURS.get(involved[track.track_id], INK)
-            axes.plot(*track.boxes[:, :2].T, color=colour, linewidth=1.4, alpha=0.8)
+            axes.plot(*track.boxes[:, XY].T, color=colour, linewidth=1.4, alpha=0.8)
     _mark_conflicts(axes, conflicts)
     _legend(figure, _conflict_handles(conflicts))
     return figure
@@ -163,8 +163,9 @@ def draw_footprints(axes: Axes, boxes: Array, colour: str, *, filled: bool = Fal
     axes.add_collection(
         PolyCollection(list(footprints(boxes)), edgecolors=colour, facecolors=face, alpha=0.35 if filled else 1.0)
     )
-    ahead = boxes[:, :2] + 0.5 * boxes[:, 3:4] * np.stack([np.cos(boxes[:, 6]), np.sin(boxes[:, 6])], axis=-1)
-    axes.add_collection(LineCollection(list(np.stack([boxes[:, :2], ahead], axis=1)), colors=colour, linewidths=1.0))
+    forward = np.stack([np.cos(boxes[:, YAW]), np.sin(boxes[:, YAW])], axis=-1)
+    ahead = boxes[:, XY] + 0.5 * boxes[:, LENGTH, None] * forward
+    axes.add_collection(LineCollection(list(np.stack([boxes[:, XY], ahead], axis=1)), colors=colour, linewidths=1.0))
 
 
 def field_of_view(camera: Camera, range_m: float) -> Array:
@@ -249,7 +250,7 @@ def _ring(axes: Axes, members: Array) -> None:
 
 
 def _draw_speeds(figure: Figure, axes: Axes, tracks: Sequence[Track]) -> None:
-    pieces = [np.stack([t.boxes[:-1, :2], t.boxes[1:, :2]], axis=1) for t in tracks if len(t) > 1]
+    pieces = [np.stack([t.boxes[:-1, XY], t.boxes[1:, XY]], axis=1) for t in tracks if len(t) > 1]
     speeds = [np.hypot(*t.velocities_mps[1:].T) * 3.6 for t in tracks if len(t) > 1]
     if not pieces:
         return

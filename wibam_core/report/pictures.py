@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from matplotlib.figure import Figure
 
+from wibam_core.geometry.box3d import XY
 from wibam_core.report import bev, charts
 from wibam_core.report.bev import BoxesInstant, ConflictMark, Ground
 from wibam_core.report.data import Array, Example, Image, ReportData
@@ -120,7 +121,7 @@ def conflict_marks(data: ReportData) -> list[ConflictMark]:
 def _places(data: ReportData) -> Array:
     """(N, 2) where the cameras and nearly all states of tracks are, without what strayed far from the cameras."""
     cameras = np.array([camera.centre_m[:2] for camera in data.rig.values()])
-    states = np.concatenate([np.empty((0, 2)), *(track.boxes[:, :2] for track in data.tracks)])
+    states = np.concatenate([np.empty((0, 2)), *(track.boxes[:, XY] for track in data.tracks)])
     centre = cameras.mean(axis=0)
     reach_m = np.linalg.norm(cameras - centre, axis=1).max() + _MAP_MARGIN_M
     near = states[np.linalg.norm(states - centre, axis=1) <= reach_m]

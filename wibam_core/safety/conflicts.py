@@ -21,6 +21,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from wibam_core.config import SafetyConfig
+from wibam_core.geometry.box3d import WIDTH, XY, YAW
 from wibam_core.geometry.iou import bev_iou_paired
 from wibam_core.geometry.se3 import normalise_angle
 from wibam_core.progress import Progress, silent
@@ -136,7 +137,7 @@ def _conflict(
     boxes = np.stack([a.boxes[i], b.boxes[j]])
     velocities = np.stack([a.velocities_mps[i], b.velocities_mps[j]])
     kind, difference = classify(boxes)
-    place = boxes[:, :2].mean(axis=0)
+    place = boxes[:, XY].mean(axis=0)
     return Conflict(
         track_ids=(a.track_id, b.track_id),
         classes=(a.vehicle_class, b.vehicle_class),
@@ -243,15 +244,15 @@ def classify(boxes: Array) -> tuple[ConflictType, float]:
     One direction and one behind the other: rear end; one direction, side by side: merging; opposite directions:
     head on; all else crosses.
     """
-    difference = float(abs(normalise_angle(boxes[1, 6] - boxes[0, 6])))
+    difference = float(abs(normalise_angle(boxes[1, YAW] - boxes[0, YAW])))
     if difference > np.pi - SAME_DIRECTION_RAD:
         return ConflictType.HEAD_ON, difference
     if difference >= SAME_DIRECTION_RAD:
         return ConflictType.CROSSING, difference
-    yaw = boxes[0, 6] + 0.5 * float(normalise_angle(boxes[1, 6] - boxes[0, 6]))
-    offset = boxes[1, :2] - boxes[0, :2]
+    yaw = boxes[0, YAW] + 0.5 * float(normalise_angle(boxes[1, YAW] - boxes[0, YAW]))
+    offset = boxes[1, XY] - boxes[0, XY]
     sideways = abs(-np.sin(yaw) * offset[0] + np.cos(yaw) * offset[1])
-    return (ConflictType.REAR_END if sideways < boxes[:, 4].mean() else ConflictType.MERGING), difference
+    return (ConflictType.REAR_END if sideways < boxes[:, WIDTH].mean() else ConflictType.MERGING), difference
 
 
 def _speeds(velocities: Array) -> tuple[float, float]:

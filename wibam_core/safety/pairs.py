@@ -9,6 +9,7 @@ from itertools import combinations
 import numpy as np
 from numpy.typing import NDArray
 
+from wibam_core.geometry.box3d import LENGTH, WIDTH, XY
 from wibam_core.scene import Track
 
 
@@ -52,7 +53,7 @@ def _bounds(
 ) -> tuple[NDArray[np.float64], NDArray[np.float64], list[int], list[int]]:
     low, high = np.empty((len(tracks), 2)), np.empty((len(tracks), 2))
     for k, track in enumerate(tracks):
-        reach = 0.5 * np.hypot(track.boxes[:, 3], track.boxes[:, 4]).max()
+        reach = 0.5 * np.hypot(track.boxes[:, LENGTH], track.boxes[:, WIDTH]).max()
         reach += horizon_s * np.hypot(*track.velocities_mps.T).max()
-        low[k], high[k] = track.boxes[:, :2].min(axis=0) - reach, track.boxes[:, :2].max(axis=0) + reach
+        low[k], high[k] = track.boxes[:, XY].min(axis=0) - reach, track.boxes[:, XY].max(axis=0) + reach
     return low, high, [int(t.times_ns[0]) for t in tracks], [int(t.times_ns[-1]) for t in tracks]

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from wibam_core.geometry.box3d import SIZE_XY, XY, YAW
 from wibam_core.geometry.se3 import normalise_angle
 from wibam_core.safety.trajectory import resample
 from wibam_core.safety.ttc import footprints_touch
@@ -74,7 +75,7 @@ def post_encroachment(
         min_heading_difference_rad,
     )
     time_a, time_b = fine if fine is not None and abs(fine[0] - fine[1]) < abs(found[0] - found[1]) else found
-    place = 0.5 * (resample(a, np.array([time_a])).boxes[0, :2] + resample(b, np.array([time_b])).boxes[0, :2])
+    place = 0.5 * (resample(a, np.array([time_a])).boxes[0, XY] + resample(b, np.array([time_b])).boxes[0, XY])
     return Encroachment(
         pet_s=abs(time_a - time_b) * 1e-9,
         first_index=0 if time_a <= time_b else 1,
@@ -100,7 +101,7 @@ def _closest_in_time(
 ) -> tuple[int, int] | None:
     """The pair of times, one of each track, with touching footprints and the least time between."""
     boxes_a, boxes_b = resample(a, times_a).boxes, resample(b, times_b).boxes
-    reach = 0.5 * float(np.hypot(*boxes_a[:, 3:5].T).max() + np.hypot(*boxes_b[:, 3:5].T).max())
+    reach = 0.5 * float(np.hypot(*boxes_a[:, SIZE_XY].T).max() + np.hypot(*boxes_b[:, SIZE_XY].T).max())
     on_path_a, on_path_b = _within(boxes_a, boxes_b, reach), _within(boxes_b, boxes_a, reach)
     times_a, boxes_a = times_a[on_path_a], boxes_a[on_path_a]
     times_b, boxes_b = times_b[on_path_b], boxes_b[on_path_b]
@@ -113,11 +114,11 @@ def _closest_in_time(
     j = first[:, None] + np.arange(width)
     inside = j < last[:, None]
     j = np.minimum(j, len(times_b) - 1)
-    offset = boxes_a[:, None, :2] - boxes_b[j, :2]
+    offset = boxes_a[:, None, XY] - boxes_b[j, XY]
     row, column = np.nonzero(inside & ((offset**2).sum(axis=-1) <= reach**2))
     i, j = row, j[row, column]
     if min_heading_difference_rad > 0:
-        differ = np.abs(normalise_angle(boxes_a[i, 6] - boxes_b[j, 6])) >= min_heading_difference_rad
+        differ = np.abs(normalise_angle(boxes_a[i, YAW] - boxes_b[j, YAW])) >= min_heading_difference_rad
         i, j = i[differ], j[differ]
     touch = footprints_touch(boxes_a[i], boxes_b[j])
     if not touch.any():
@@ -130,4 +131,4 @@ def _closest_in_time(
 def _within(boxes: Array, others: Array, reach_m: float) -> NDArray[np.bool_]:
     """Which boxes (N, 7) lie within reach of the rectangle around all centres of the others (M, 7)."""
     low, high = others[:, :2].min(axis=0) - reach_m, others[:, :2].max(axis=0) + reach_m
-    return np.asarray(((boxes[:, :2] >= low) & (boxes[:, :2] <= high)).all(axis=1))
+    return np.asarray(((boxes[:, XY] >= low) & (boxes[:, XY] <= high)).all(axis=1))

@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
+from wibam_core.geometry.box3d import YAW
 from wibam_core.geometry.se3 import normalise_angle
 from wibam_core.scene import Track
 
@@ -24,8 +25,8 @@ def resample(track: Track, times_ns: NDArray[np.int64]) -> Track:
     def along(values: Array) -> Array:
         return np.stack([np.interp(at, offset_s, column) for column in values.T], axis=1)
 
-    boxes = along(np.column_stack([track.boxes[:, :6], np.unwrap(track.boxes[:, 6])]))
-    boxes[:, 6] = normalise_angle(boxes[:, 6])
+    boxes = along(np.column_stack([track.boxes[:, :YAW], np.unwrap(track.boxes[:, YAW])]))
+    boxes[:, YAW] = normalise_angle(boxes[:, YAW])
     return replace(
         track,
         times_ns=np.asarray(times_ns, dtype=np.int64),

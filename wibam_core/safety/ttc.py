@@ -10,6 +10,8 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from wibam_core.geometry.box3d import LENGTH, WIDTH, XY, YAW
+
 Array = NDArray[np.float64]
 
 #: Slower closing than this is rounding: two that drive alike never meet.
@@ -25,11 +27,11 @@ def contact_interval(
         first and last moment of contact (...,) in s from now, negative in the past; (inf, −inf) where there is none.
     """
     a, b = np.asarray(boxes_a, dtype=np.float64), np.asarray(boxes_b, dtype=np.float64)
-    offset = b[..., :2] - a[..., :2]
+    offset = b[..., XY] - a[..., XY]
     velocity = np.asarray(velocities_b, dtype=np.float64) - np.asarray(velocities_a, dtype=np.float64)
     shape = np.broadcast_shapes(offset.shape[:-1], velocity.shape[:-1])
     first, last = np.full(shape, -np.inf), np.full(shape, np.inf)
-    for yaw in (a[..., 6], a[..., 6] + np.pi / 2, b[..., 6], b[..., 6] + np.pi / 2):
+    for yaw in (a[..., YAW], a[..., YAW] + np.pi / 2, b[..., YAW], b[..., YAW] + np.pi / 2):
         axis = np.stack([np.cos(yaw), np.sin(yaw)], axis=-1)
         gap = (offset * axis).sum(-1)
         closing = (velocity * axis).sum(-1)
@@ -65,5 +67,5 @@ def footprints_touch(boxes_a: ArrayLike, boxes_b: ArrayLike) -> NDArray[np.bool_
 
 def _half_shadow(boxes: Array, axis_yaw: Array) -> Array:
     """Half the length of the footprints' shadows on the direction ``axis_yaw``."""
-    turn = boxes[..., 6] - axis_yaw
-    return 0.5 * (boxes[..., 3] * np.abs(np.cos(turn)) + boxes[..., 4] * np.abs(np.sin(turn)))
+    turn = boxes[..., YAW] - axis_yaw
+    return 0.5 * (boxes[..., LENGTH] * np.abs(np.cos(turn)) + boxes[..., WIDTH] * np.abs(np.sin(turn)))

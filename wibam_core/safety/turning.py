@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from wibam_core.geometry.box3d import YAW, X, Y
 from wibam_core.safety.ttc import footprints_touch
 
 Array = NDArray[np.float64]
@@ -31,9 +32,9 @@ class TurningStates:
         c, s = np.cos(turn / 2), np.sin(turn / 2)
         vx, vy = self.velocities.T
         boxes = self.boxes.copy()
-        boxes[:, 0] += chord * (c * vx - s * vy)
-        boxes[:, 1] += chord * (s * vx + c * vy)
-        boxes[:, 6] += turn
+        boxes[:, X] += chord * (c * vx - s * vy)
+        boxes[:, Y] += chord * (s * vx + c * vy)
+        boxes[:, YAW] += turn
         return boxes
 
 

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from wibam_core.geometry.box3d import LENGTH, SIZE, YAW, X, Y
 from wibam_core.safety.pet import Encroachment
 from wibam_core.safety.ttc import time_to_collision
 from wibam_core.scene import Track
@@ -50,10 +51,10 @@ def _draw(track: Track, index: int, rng: np.random.Generator) -> tuple[Array, Ar
     sd = np.nan_to_num(track.sd[index])
     noise = rng.normal(size=(DRAWS, 7)) * sd
     boxes = track.boxes[index] + noise
-    boxes[:, 3:6] = np.maximum(boxes[:, 3:6], 0.1)
+    boxes[:, SIZE] = np.maximum(boxes[:, SIZE], 0.1)
     velocity = track.velocities_mps[index]
     speed = float(np.hypot(*velocity))
-    speed_sd = np.sqrt(2.0) * _sd_along(sd, float(track.boxes[index, 6])) / _SPEED_WINDOW_S
+    speed_sd = np.sqrt(2.0) * _sd_along(sd, float(track.boxes[index, YAW])) / _SPEED_WINDOW_S
     speeds = np.maximum(speed + rng.normal(size=DRAWS) * speed_sd, 0.0) if speed > 0 else np.zeros(DRAWS)
     course = np.arctan2(velocity[1], velocity[0]) + noise[:, 6]
     return boxes, speeds[:, None] * np.stack([np.cos(course), np.sin(course)], axis=1)
@@ -65,8 +66,8 @@ def pet_interval(a: Track, b: Track, encroachment: Encroachment) -> Interval:
     variance = 0.0
     for track, time in zip((a, b) if encroachment.first_index == 0 else (b, a), times, strict=True):
         k = int(np.argmin(np.abs(track.times_ns - time)))
-        along = _sd_along(np.nan_to_num(track.sd[k]), float(track.boxes[k, 6]))
-        length = float(np.nan_to_num(track.sd[k, 3])) / 2
+        along = _sd_along(np.nan_to_num(track.sd[k]), float(track.boxes[k, YAW]))
+        length = float(np.nan_to_num(track.sd[k, LENGTH])) / 2
         variance += (along**2 + length**2) / max(float(np.hypot(*track.velocities_mps[k])), 0.1) ** 2
     spread = _NORMAL_90 * float(np.sqrt(variance))
     return Interval(max(encroachment.pet_s - spread, 0.0), encroachment.pet_s + spread)
@@ -74,4 +75,4 @@ def pet_interval(a: Track, b: Track, encroachment: Encroachment) -> Interval:
 
 def _sd_along(sd: Array, yaw_rad: float) -> float:
     """Standard deviation of the position along the heading."""
-    return float(np.hypot(sd[0] * np.cos(yaw_rad), sd[1] * np.sin(yaw_rad)))
+    return float(np.hypot(sd[X] * np.cos(yaw_rad), sd[Y] * np.sin(yaw_rad)))

@@ -13,7 +13,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from wibam_core.geometry.box3d import footprints
+from wibam_core.geometry.box3d import HEIGHT, LENGTH, SIZE, SIZE_XY, WIDTH, XY, XYZ, YAW, X, Y, footprints
 from wibam_core.geometry.camera import Camera
 from wibam_core.synthetic.background import Background
 from wibam_core.synthetic.layout import Layout
@@ -61,15 +61,15 @@ class _Body:
 
     def __init__(self, view: View, mesh: Mesh, box: Array) -> None:
         self.mesh, self.box = mesh, box
-        c, s = np.cos(box[6]), np.sin(box[6])
+        c, s = np.cos(box[YAW]), np.sin(box[YAW])
         self.rotation = np.array([[c, -s, 0], [s, c, 0], [0, 0, 1.0]])
-        self.cam = view.to_camera(mesh.points @ self.rotation.T + box[:3])
-        self.eye = (view.eye - box[:3]) @ self.rotation
+        self.cam = view.to_camera(mesh.points @ self.rotation.T + box[XYZ])
+        self.eye = (view.eye - box[XYZ]) @ self.rotation
         depth = self.cam[:, 2]
         self.whole = bool((depth >= NEAR_M).all())
         self.hulls: list[Array] = []
         self.bounds: Array | None = None
-        self.distance = float(np.hypot(box[0] - view.eye[0], box[1] - view.eye[1]))
+        self.distance = float(np.hypot(box[X] - view.eye[0], box[Y] - view.eye[1]))
         if not (depth >= NEAR_M).any():
             return
         if self.whole:
@@ -139,7 +139,7 @@ class Renderer:
         lit, dark = self.background.images(signals)
         image = lit.copy()
         ids = np.zeros((height, width), np.uint8)
-        near_view = view.may_see(boxes[:, None, :3], np.linalg.norm(boxes[:, 3:6], axis=1) / 2)
+        near_view = view.may_see(boxes[:, None, XYZ], np.linalg.norm(boxes[:, SIZE], axis=1) / 2)
         bodies = {i: _Body(view, vehicle_mesh(models[i]), boxes[i]) for i in np.flatnonzero(near_view).tolist()}
         seen = [i for i, body in bodies.items() if _reaches_into(body.bounds, width, height)]
         self._cast_shadows(image, dark, boxes)
@@ -166,15 +166,15 @@ class Renderer:
         if self._lighting.shadow > 0.85:  # overcast: only the ground right below is dark
             sun = np.array([0.0, 0.0, 1.0])
         towards = sun[:2] / sun[2]
-        near = np.hypot(*(boxes[:, :2] - self.view.eye[:2]).T) < 90
-        near &= self.view.may_see(boxes[:, None, :3], 5.0 * boxes[:, 5])
+        near = np.hypot(*(boxes[:, XY] - self.view.eye[:2]).T) < 90
+        near &= self.view.may_see(boxes[:, None, XYZ], 5.0 * boxes[:, HEIGHT])
         if not near.any():
             return
         b = boxes[near]
         rings = []
         for share, z in ((0.98, 0.15), (0.95, 0.62), (0.72, 1.0)):
             narrowed = b * np.array([1, 1, 1, share, share, 1, 1])
-            rings.append(footprints(narrowed) - (towards * z * b[:, 5:6])[:, None])
+            rings.append(footprints(narrowed) - (towards * z * b[:, HEIGHT, None])[:, None])
         mask = np.zeros(image.shape[:2], np.uint8)
         hulls = [cv2.convexHull(points)[:, 0] for points in np.concatenate(rings, axis=1).astype(np.float32)]
         for polygon in self.view.polygons([np.pad(h.astype(np.float64), ((0, 0), (0, 1))) for h in hulls]):
@@ -216,7 +216,7 @@ class Renderer:
                 else:
                     fill(image, body.face(self.view, mesh.faces[f]), colours[f])
         for outer, _, side in mesh.wheels:
-            if body.eye[1] * side <= body.box[4] / 2:
+            if body.eye[1] * side <= body.box[WIDTH] / 2:
                 continue
             disc = body.face(self.view, outer)
             fill(image, disc, _TYRE)
@@ -236,7 +236,7 @@ class Renderer:
         """Give pixels back to still things in front of the vehicle. All arrays are the vehicle's patch."""
         h, w = mask.shape
         occluders = self.background.occluders[corner[1] : corner[1] + h, corner[0] : corner[0] + w]
-        radius = float(np.hypot(body.box[3], body.box[4])) / 2
+        radius = float(np.hypot(body.box[LENGTH], body.box[WIDTH])) / 2
         hidden = (occluders < body.distance + radius) & (mask > 0)
         if not hidden.any():
             return
@@ -258,7 +258,7 @@ def _entry_distance(directions: Array, body: _Body, eye: Array) -> Array:
     """
     local = body.rotation[:2, :2].T @ directions
     origin = body.eye[:2]
-    half = body.box[3:5] / 2
+    half = body.box[SIZE_XY] / 2
     with np.errstate(divide="ignore", invalid="ignore"):
         a = (-half[:, None] - origin[:, None]) / local
         b = (half[:, None] - origin[:, None]) / local
@@ -325,12 +325,12 @@ def _far_to_near(boxes: Array, bodies: Mapping[int, _Body], seen: list[int], eye
         return seen
     b = boxes[seen]
     n = len(b)
-    c, s = np.cos(b[:, 6]), np.sin(b[:, 6])
+    c, s = np.cos(b[:, YAW]), np.sin(b[:, YAW])
     to_local = np.stack([np.stack([c, s], -1), np.stack([-s, c], -1)], axis=-2)
-    half = b[:, 3:5] / 2
+    half = b[:, SIZE_XY] / 2
     corners = footprints(b)
-    others = np.einsum("iab,ijkb->ijka", to_local, corners[None] - b[:, None, None, :2])
-    viewer = np.einsum("iab,ib->ia", to_local, eye[:2] - b[:, :2])
+    others = np.einsum("iab,ijkb->ijka", to_local, corners[None] - b[:, None, None, XY])
+    viewer = np.einsum("iab,ib->ia", to_local, eye[:2] - b[:, XY])
     front = np.zeros((n, n), bool)  # front[i, j]: i must be painted after j
     decided = np.eye(n, dtype=bool)
     for axis in (0, 1):

@@ -9,7 +9,7 @@ from typing import Literal
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from wibam_core.geometry.box3d import footprints
+from wibam_core.geometry.box3d import LENGTH, WIDTH, XY, YAW, footprints
 from wibam_core.geometry.se3 import normalise_angle
 from wibam_core.synthetic.layout import Arm, Layout
 
@@ -153,10 +153,10 @@ def footprints_overlap(a: ArrayLike, b: ArrayLike) -> NDArray[np.bool_]:
     one, two = np.broadcast_arrays(np.asarray(a, dtype=np.float64), np.asarray(b, dtype=np.float64))
     apart = np.zeros(one.shape[:-1], bool)
     for first, second in ((one, two), (two, one)):
-        c, s = np.cos(first[..., 6]), np.sin(first[..., 6])
-        d = footprints(second) - first[..., None, :2]
+        c, s = np.cos(first[..., YAW]), np.sin(first[..., YAW])
+        d = footprints(second) - first[..., None, XY]
         x = c[..., None] * d[..., 0] + s[..., None] * d[..., 1]
         y = c[..., None] * d[..., 1] - s[..., None] * d[..., 0]
-        for values, half in ((x, first[..., 3] / 2), (y, first[..., 4] / 2)):
+        for values, half in ((x, first[..., LENGTH] / 2), (y, first[..., WIDTH] / 2)):
             apart |= (values.min(-1) >= half) | (values.max(-1) <= -half)
     return ~apart

@@ -9,6 +9,7 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from wibam_core.geometry.box3d import YAW
 from wibam_core.geometry.camera import Camera
 from wibam_core.road_users import RoadUserClass
 from wibam_core.scene import Vehicles3D
@@ -147,7 +148,7 @@ def sample_moment(
                 if rng.random() < 0.55:
                     place(model, x, y, yaw)
                 along += model.length_m + rng.uniform(0.8, 3.0)
-    boxes[:, 6] = np.arctan2(np.sin(boxes[:, 6]), np.cos(boxes[:, 6]))
+    boxes[:, YAW] = np.arctan2(np.sin(boxes[:, YAW]), np.cos(boxes[:, YAW]))
     return models, boxes
 
 

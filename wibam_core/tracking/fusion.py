@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from wibam_core.geometry.box3d import LENGTH, XY, YAW
 from wibam_core.geometry.se3 import normalise_angle
 from wibam_core.road_users import CLASSES
 from wibam_core.scene import Vehicles3D
@@ -78,11 +79,11 @@ def ground_distance(a: Array, b: Array) -> Array:
     Along the heading of b it counts as much less as the longer of the two exceeds the reference length: the centre
     of a bus is less certain than that of a car.
     """
-    offset = a[:, None, :2] - b[None, :, :2]
-    c, s = np.cos(b[:, 6]), np.sin(b[:, 6])
+    offset = a[:, None, XY] - b[None, :, XY]
+    c, s = np.cos(b[:, YAW]), np.sin(b[:, YAW])
     along = c * offset[..., 0] + s * offset[..., 1]
     across = -s * offset[..., 0] + c * offset[..., 1]
-    length = np.maximum(a[:, None, 3], b[None, :, 3])
+    length = np.maximum(a[:, None, LENGTH], b[None, :, LENGTH])
     return np.hypot(along / np.maximum(1.0, length / REFERENCE_LENGTH_M), across)
 
 
@@ -106,13 +107,13 @@ def _merge(boxes: Array, sd: Array, scores: Array, classes: Indices) -> tuple[Ar
     weights = scores[:, None] / sd**2
     box = (weights * boxes).sum(axis=0) / weights.sum(axis=0)
     axis = 0.5 * np.arctan2(
-        (weights[:, 6] * np.sin(2 * boxes[:, 6])).sum(), (weights[:, 6] * np.cos(2 * boxes[:, 6])).sum()
+        (weights[:, YAW] * np.sin(2 * boxes[:, YAW])).sum(), (weights[:, YAW] * np.cos(2 * boxes[:, YAW])).sum()
     )
-    forward = np.cos(boxes[:, 6] - axis) >= 0
+    forward = np.cos(boxes[:, YAW] - axis) >= 0
     headings = np.array([scores[forward].sum(), scores[~forward].sum()])
     if headings[1] > headings[0]:
         axis, headings = axis + np.pi, headings[::-1]
-    box[6] = normalise_angle(axis)
+    box[YAW] = normalise_angle(axis)
     spread = np.sqrt(np.sum(scores) / np.maximum(weights.sum(axis=0), 1e-12) / len(scores))
     votes = np.bincount(classes, weights=scores, minlength=len(CLASSES)).astype(np.float64)
     return box, np.maximum(spread, SD_FLOOR), votes, headings

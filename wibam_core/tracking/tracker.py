@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from scipy.optimize import linear_sum_assignment
 
 from wibam_core.config import TrackConfig
+from wibam_core.geometry.box3d import LENGTH, POSE, SIZE, XY, XYZ, YAW
 from wibam_core.geometry.iou import bev_iou
 from wibam_core.road_users import CLASSES
 from wibam_core.scene import Track, Vehicles3D
@@ -45,7 +46,7 @@ class _Candidate:
 
     @property
     def model(self) -> MotionModel:
-        return model_of(CLASSES[int(np.argmax(self.votes))], float(self.box[3]))
+        return model_of(CLASSES[int(np.argmax(self.votes))], float(self.box[LENGTH]))
 
     def at(self, time_ns: int) -> Belief:
         return self.model.predict(self.belief, (time_ns - self.time_ns) * 1e-9)[0]
@@ -79,7 +80,7 @@ class Tracker:
         self._end_unseen(time_ns)
         expected = [candidate.at(time_ns) for candidate in self._active]
         certain = [
-            found.where(np.flatnonzero(~(found.sd[:, :2] > _MAX_PLACE_SD_M).any(axis=1))) for found in detections
+            found.where(np.flatnonzero(~(found.sd[:, XY] > _MAX_PLACE_SD_M).any(axis=1))) for found in detections
         ]
         fused = fuse([self._move(found, time_ns, frame_times_ns or {}, expected) for found in certain])
         assigned = self._assign(time_ns, fused, expected)
@@ -121,13 +122,13 @@ class Tracker:
         for row, column in enumerate(nearest):
             mean = expected[column].mean
             if distance[row, column] <= self._config.gate_m and len(self._active[column].hits) > 1:
-                boxes[row, :2] += late_s * self._active[column].model.travel(mean)[0]
+                boxes[row, XY] += late_s * self._active[column].model.travel(mean)[0]
         return replace(found, time_ns=time_ns, boxes=boxes)
 
     def _expected_boxes(self, expected: Sequence[Belief]) -> Array:
         boxes = np.array([c.box for c in self._active]).reshape(-1, 7)
         for row, (candidate, belief) in enumerate(zip(self._active, expected, strict=True)):
-            boxes[row, [0, 1, 6]] = candidate.model.centre(belief)[0]
+            boxes[row, POSE] = candidate.model.centre(belief)[0]
         return boxes
 
     def _assign(self, time_ns: int, fused: Fused, expected: Sequence[Belief]) -> dict[int, int]:
@@ -158,8 +159,10 @@ class Tracker:
         candidate.time_ns = time_ns
         candidate.hits.append(_hit(time_ns, fused, column))
         candidate.votes = candidate.votes + fused.votes[column]
-        sizes = np.array([hit.box[3:6] for hit in candidate.hits[-15:]])
-        candidate.box = np.concatenate([fused.boxes[column, :3], np.median(sizes, axis=0), fused.boxes[column, 6:]])
+        sizes = np.array([hit.box[SIZE] for hit in candidate.hits[-15:]])
+        candidate.box = np.concatenate(
+            [fused.boxes[column, XYZ], np.median(sizes, axis=0), fused.boxes[column, YAW, None]]
+        )
 
     def _begin(self, time_ns: int, fused: Fused, taken: set[int]) -> None:
         known = [c for c in self._active if c.time_ns == time_ns]
@@ -170,12 +173,12 @@ class Tracker:
                 continue
             present = np.concatenate([present, box[None]])
             road_user = CLASSES[int(np.argmax(fused.votes[column]))]
-            belief = model_of(road_user, float(box[3])).first_belief(_measurement(time_ns, fused, column))
+            belief = model_of(road_user, float(box[LENGTH])).first_belief(_measurement(time_ns, fused, column))
             self._active.append(_Candidate(belief, time_ns, box, fused.votes[column], [_hit(time_ns, fused, column)]))
 
 
 def _measurement(time_ns: int, fused: Fused, column: int) -> Measurement:
-    return Measurement(time_ns, fused.boxes[column, [0, 1, 6]], fused.sd[column, [0, 1, 6]])
+    return Measurement(time_ns, fused.boxes[column, POSE], fused.sd[column, POSE])
 
 
 def _hit(time_ns: int, fused: Fused, column: int) -> Hit:

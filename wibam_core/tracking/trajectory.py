@@ -8,12 +8,14 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from wibam_core.geometry.box3d import POSE, SIZE, YAW, Z
 from wibam_core.geometry.se3 import normalise_angle
 from wibam_core.road_users import CLASSES
 from wibam_core.scene import Track
 from wibam_core.tracking.fusion import SD_FLOOR
 from wibam_core.tracking.models import model_of
-from wibam_core.tracking.motion import YAW, Belief, Measurement, MotionModel
+from wibam_core.tracking.motion import YAW as STATE_YAW
+from wibam_core.tracking.motion import Belief, Measurement, MotionModel
 from wibam_core.tracking.smoother import smooth
 
 Array = NDArray[np.float64]
@@ -50,11 +52,11 @@ def to_track(track_id: int, hits: Sequence[Hit], instants: NDArray[np.int64]) ->
     road_user = CLASSES[int(np.argmax(np.sum([hit.votes for hit in hits], axis=0)))]
     model = model_of(road_user, float(size[0]))
     times = instants[(instants >= hits[0].time_ns) & (instants <= hits[-1].time_ns)]
-    measured = {hit.time_ns: Measurement(hit.time_ns, hit.box[[0, 1, 6]], hit.sd[[0, 1, 6]]) for hit in hits}
+    measured = {hit.time_ns: Measurement(hit.time_ns, hit.box[POSE], hit.sd[POSE]) for hit in hits}
     beliefs = smooth(model, times, measured)
     if _is_reversed(model, beliefs, times, hits):
         first = measured[int(times[0])]
-        turned = np.array([*first.value[:2], beliefs[0].mean[YAW] + np.pi])
+        turned = np.array([*first.value[:2], beliefs[0].mean[STATE_YAW] + np.pi])
         beliefs = smooth(model, times, {**measured, first.time_ns: Measurement(first.time_ns, turned, first.sd)})
     n = len(times)
     boxes, sd = np.empty((n, 7)), np.empty((n, 7))
@@ -63,22 +65,22 @@ def to_track(track_id: int, hits: Sequence[Hit], instants: NDArray[np.int64]) ->
         place, H = model.centre(belief)
         covariance = H @ belief.covariance @ H.T
         boxes[k] = [place[0], place[1], size[2] / 2, *size, normalise_angle(place[2])]
-        sd[k, [0, 1, 6]] = np.sqrt(_CORRELATION * np.maximum(np.diag(covariance), 0.0))
+        sd[k, POSE] = np.sqrt(_CORRELATION * np.maximum(np.diag(covariance), 0.0))
         velocities[k], yaw_rates[k] = model.velocity(belief.mean)
-    sd[:, 2], sd[:, 3:6] = size_sd[2] / 2, size_sd
+    sd[:, Z], sd[:, SIZE] = size_sd[2] / 2, size_sd
     return Track(track_id, road_user, times, boxes, np.maximum(sd, SD_FLOOR / 3), velocities, yaw_rates)
 
 
 def _size(hits: Sequence[Hit]) -> tuple[Array, Array]:
     """Weighted median of length, width and height (3,), and its standard deviation (3,)."""
-    sizes = np.array([hit.box[3:6] for hit in hits])
-    weights = 1.0 / np.array([hit.sd[3:6] for hit in hits]) ** 2
+    sizes = np.array([hit.box[SIZE] for hit in hits])
+    weights = 1.0 / np.array([hit.sd[SIZE] for hit in hits]) ** 2
     order = np.argsort(sizes, axis=0)
     cumulative = np.cumsum(np.take_along_axis(weights, order, axis=0), axis=0)
     middle = (cumulative >= 0.5 * cumulative[-1]).argmax(axis=0)
     median = np.take_along_axis(sizes, order, axis=0)[middle, np.arange(3)]
     spread = 1.4826 * np.median(np.abs(sizes - median), axis=0)
-    return median, np.hypot(spread / np.sqrt(len(hits)), SD_FLOOR[3:6])
+    return median, np.hypot(spread / np.sqrt(len(hits)), SD_FLOOR[SIZE])
 
 
 def _is_reversed(model: MotionModel, beliefs: Sequence[Belief], times: NDArray[np.int64], hits: Sequence[Hit]) -> bool:
@@ -88,8 +90,8 @@ def _is_reversed(model: MotionModel, beliefs: Sequence[Belief], times: NDArray[n
     if abs(driven) >= _MIN_DRIVEN_M:
         return driven < 0
     along = 0.0
-    yaws = dict(zip(times.tolist(), (belief.mean[YAW] for belief in beliefs), strict=True))
+    yaws = dict(zip(times.tolist(), (belief.mean[STATE_YAW] for belief in beliefs), strict=True))
     for hit in hits:
-        agrees = np.cos(hit.box[6] - yaws[hit.time_ns]) >= 0
+        agrees = np.cos(hit.box[YAW] - yaws[hit.time_ns]) >= 0
         along += float(hit.headings[0] - hit.headings[1]) * (1.0 if agrees else -1.0)
     return along < 0
