@@ -13,6 +13,7 @@ from wibam_core.exchange.kitti import Kitti
 from wibam_core.exchange.levelx import LevelX
 from wibam_core.exchange.motchallenge import MotChallenge
 from wibam_core.exchange.nuscenes import NuScenesResults
+from wibam_core.exchange.openlabel import OpenLabel
 from wibam_core.exchange.ottrk import Ottrk
 from wibam_core.exchange.projected_csv import ProjectedCsv
 from wibam_core.exchange.ssam import Ssam
@@ -24,6 +25,7 @@ _FORMATS: tuple[ExchangeFormat, ...] = (
     LevelX(),
     MotChallenge(),
     NuScenesResults(),
+    OpenLabel(),
     Ottrk(),
     ProjectedCsv(),
     Ssam(),
