@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from wibam_core.geometry.box3d import SIZE, Box3D
 from wibam_core.geometry.camera import Camera
 from wibam_core.road_users import CLASSES, RoadUserClass
+from wibam_core.site import MatrixCalibration, SignalRegion, SiteCamera
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
@@ -44,6 +45,20 @@ class CameraRig(Mapping[str, Camera]):
     @property
     def reference_id(self) -> str:
         return next(iter(self.cameras))
+
+
+def site_camera(camera_id: str, camera: Camera, signals: tuple[SignalRegion, ...] = ()) -> SiteCamera:
+    """A calibrated camera as a site describes it, with ready matrices."""
+    rvec, tvec = camera.T_cam_world.to_rvec_tvec()
+    calibration = MatrixCalibration(
+        K=tuple(tuple(row) for row in camera.K.tolist()),
+        dist=tuple(camera.dist.tolist()),
+        rvec=tuple(rvec.tolist()),
+        tvec=tuple(tvec.tolist()),
+    )
+    return SiteCamera(
+        id=camera_id, width_px=camera.width_px, height_px=camera.height_px, calibration=calibration, signals=signals
+    )
 
 
 @dataclass(frozen=True, eq=False)

@@ -17,6 +17,7 @@ from wibam_core.exchange.openlabel import OpenLabel
 from wibam_core.exchange.ottrk import Ottrk
 from wibam_core.exchange.projected_csv import ProjectedCsv
 from wibam_core.exchange.ssam import Ssam
+from wibam_core.exchange.wibam.dataset import WibamDataset
 
 _FORMATS: tuple[ExchangeFormat, ...] = (
     Coco(),
@@ -29,6 +30,7 @@ _FORMATS: tuple[ExchangeFormat, ...] = (
     Ottrk(),
     ProjectedCsv(),
     Ssam(),
+    WibamDataset(),
 )
 
 #: By name.

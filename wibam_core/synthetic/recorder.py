@@ -30,8 +30,8 @@ from wibam_core.formats.labels import write_labels
 from wibam_core.formats.rig import write_rig
 from wibam_core.geometry.camera import Camera
 from wibam_core.progress import Progress, part, silent
-from wibam_core.scene import CameraRig, LabelledInstant, Vehicles3D
-from wibam_core.site import MatrixCalibration, SignalRegion, Site, SiteCamera
+from wibam_core.scene import CameraRig, LabelledInstant, Vehicles3D, site_camera
+from wibam_core.site import SignalRegion, Site
 from wibam_core.synthetic.cameras import site_cameras
 from wibam_core.synthetic.clocks import CameraClock, frame_count, sample_clock
 from wibam_core.synthetic.layout import make_layout
@@ -110,7 +110,9 @@ def record_site(
     progress(0.95, "writing the truth")
     site = Site(
         name=f"Simulated intersection {options.seed}",
-        cameras=tuple(_site_camera(job, truth) for job, truth in zip(jobs, truths, strict=True)),
+        cameras=tuple(
+            site_camera(job.camera_id, job.camera, truth.signals) for job, truth in zip(jobs, truths, strict=True)
+        ),
     )
     (folder / "site.json").write_text(site.model_dump_json(indent=1) + "\n", encoding="utf-8")
     write_labels(folder / "labels.parquet", _labels(options, jobs, truths))
@@ -220,24 +222,6 @@ def _signal_regions(renderer: Renderer, job: CameraJob) -> tuple[SignalRegion, .
         if head.phase not in best or y1 - y0 > best[head.phase][3]:
             best[head.phase] = (x0, y0, x1 - x0, y1 - y0)
     return tuple(SignalRegion(id=f"phase-{phase}", region=region) for phase, region in sorted(best.items()))
-
-
-def _site_camera(job: CameraJob, truth: CameraTruth) -> SiteCamera:
-    camera = job.camera
-    rvec, tvec = camera.T_cam_world.to_rvec_tvec()
-    calibration = MatrixCalibration(
-        K=tuple(tuple(row) for row in camera.K.tolist()),
-        dist=tuple(camera.dist.tolist()),
-        rvec=tuple(rvec.tolist()),
-        tvec=tuple(tvec.tolist()),
-    )
-    return SiteCamera(
-        id=job.camera_id,
-        width_px=camera.width_px,
-        height_px=camera.height_px,
-        calibration=calibration,
-        signals=truth.signals,
-    )
 
 
 # --- truth ----------------------------------------------------------------------------------

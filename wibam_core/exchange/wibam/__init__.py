@@ -1,0 +1,1 @@
+"""The published WIBAM data set."""
