@@ -47,6 +47,7 @@ class Content:
         images: (camera id, frame time in ns on the reference clock) -> the name of that image elsewhere.
         jpeg: (camera id, frame time) -> that frame as a JPEG file, in the size of the recording.
         splits: "train", "val", "test" -> instants (ns, reference clock).
+        files: name -> a file of our own, as it is, for an archive of everything.
         notes: sentences for a person on what reading decided or left out.
     """
 
@@ -59,6 +60,7 @@ class Content:
     images: Mapping[tuple[str, int], str] = field(default_factory=lambda: MappingProxyType({}))
     jpeg: Callable[[str, int], bytes] | None = None
     splits: Mapping[str, Sequence[int]] = field(default_factory=lambda: MappingProxyType({}))
+    files: Mapping[str, Path] = field(default_factory=lambda: MappingProxyType({}))
     notes: tuple[str, ...] = ()
 
     @property

@@ -8,6 +8,7 @@ from types import MappingProxyType
 from wibam_core.errors import NotFound
 from wibam_core.exchange.base import ExchangeFormat
 from wibam_core.exchange.coco import Coco
+from wibam_core.exchange.everything import Everything
 from wibam_core.exchange.geojson import GeoJson
 from wibam_core.exchange.kitti import Kitti
 from wibam_core.exchange.levelx import LevelX
@@ -19,7 +20,7 @@ from wibam_core.exchange.projected_csv import ProjectedCsv
 from wibam_core.exchange.ssam import Ssam
 from wibam_core.exchange.wibam.dataset import WibamDataset
 
-_FORMATS: tuple[ExchangeFormat, ...] = (
+_SINGLE: tuple[ExchangeFormat, ...] = (
     Coco(),
     GeoJson(),
     Kitti(),
@@ -33,8 +34,8 @@ _FORMATS: tuple[ExchangeFormat, ...] = (
     WibamDataset(),
 )
 
-#: By name.
-FORMATS: Mapping[str, ExchangeFormat] = MappingProxyType({fmt.name: fmt for fmt in _FORMATS})
+#: By name; the last writes all others.
+FORMATS: Mapping[str, ExchangeFormat] = MappingProxyType({fmt.name: fmt for fmt in (*_SINGLE, Everything(_SINGLE))})
 
 
 def format_of(name: str) -> ExchangeFormat:
