@@ -161,10 +161,6 @@ class DiskFull(StageError):
     default_hint = "Free space in the data folder, then restart the job: finished stages are kept."
 
 
-class Cancelled(WibamError):
-    code = "cancelled"
-
-
 # --- the service -------------------------------------------------------------------------------
 class NotFound(WibamError):
     code = "not_found"

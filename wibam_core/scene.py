@@ -13,7 +13,7 @@ from types import MappingProxyType
 import numpy as np
 from numpy.typing import NDArray
 
-from wibam_core.geometry.box3d import SIZE, Box3D
+from wibam_core.geometry.box3d import SIZE
 from wibam_core.geometry.camera import Camera
 from wibam_core.road_users import CLASSES, RoadUserClass
 from wibam_core.site import MatrixCalibration, SignalRegion, SiteCamera
@@ -242,9 +242,6 @@ class Vehicles3D:
             self.sd[keep],
             self.camera_id,
         )
-
-    def __getitem__(self, index: int) -> Box3D:
-        return Box3D.from_array(self.boxes[index])
 
 
 @dataclass(frozen=True, eq=False)

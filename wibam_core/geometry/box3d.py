@@ -16,17 +16,13 @@ so that 0–3 are the bottom (0 front left seen from above going counter-clockwi
 rear-right, front-right) and 4–7 the top above 0–3.
 
 Many boxes are one float64 array (..., 7) in the order of `BOX_FIELDS`: centre x, y, z (m), length, width,
-height (m), yaw (rad about world +Z, counter-clockwise from +X). One box is a `Box3D`.
+height (m), yaw (rad about world +Z, counter-clockwise from +X).
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-
-from wibam_core.geometry.se3 import SE3, normalise_angle
 
 Array = NDArray[np.float64]
 
@@ -50,44 +46,6 @@ EDGES: NDArray[np.int64] = np.array(
     [[0, 1], [1, 2], [2, 3], [3, 0], [4, 5], [5, 6], [6, 7], [7, 4], [0, 4], [1, 5], [2, 6], [3, 7]]
 )
 EDGES.setflags(write=False)
-
-
-@dataclass(frozen=True)
-class Box3D:
-    """One box: geometric centre (m), size (m) and yaw (rad, wrapped to (−π, π])."""
-
-    x_m: float
-    y_m: float
-    z_m: float
-    length_m: float
-    width_m: float
-    height_m: float
-    yaw_rad: float
-
-    def __post_init__(self) -> None:
-        values = self.to_array()
-        if not np.isfinite(values).all():
-            raise ValueError(f"a box needs finite numbers, got {values}")
-        if (values[SIZE] <= 0).any():
-            raise ValueError(f"a box needs positive sizes, got {values[SIZE]}")
-        object.__setattr__(self, "yaw_rad", float(normalise_angle(self.yaw_rad)))
-
-    @classmethod
-    def from_array(cls, box: ArrayLike) -> Box3D:
-        """From (7,) in the order of `BOX_FIELDS`."""
-        values = np.asarray(box, dtype=np.float64)
-        if values.shape != (7,):
-            raise ValueError(f"a box has 7 numbers, got shape {values.shape}")
-        return cls(*(float(v) for v in values))
-
-    def to_array(self) -> Array:
-        """(7,) in the order of `BOX_FIELDS`."""
-        return np.array([getattr(self, name) for name in BOX_FIELDS], dtype=np.float64)
-
-    @property
-    def T_world_vehicle(self) -> SE3:
-        c, s = np.cos(self.yaw_rad), np.sin(self.yaw_rad)
-        return SE3(np.array([[c, -s, 0], [s, c, 0], [0, 0, 1]]), np.array([self.x_m, self.y_m, self.z_m]))
 
 
 def vehicle_to_world(boxes: ArrayLike, points_vehicle: ArrayLike) -> Array:

@@ -1,4 +1,4 @@
-"""The ground plane Z = 0, planes parallel to it, and the image-to-ground homography."""
+"""The ground plane Z = 0, and planes parallel to it."""
 
 from __future__ import annotations
 
@@ -23,8 +23,3 @@ def intersect_plane(camera: Camera, uv: ArrayLike, height_m: ArrayLike = 0.0) ->
     hit = np.isfinite(distance) & (distance > 0)
     points = camera.centre_m + rays * np.where(hit, distance, np.nan)[..., None]
     return np.asarray(points)
-
-
-def ground_homography(camera: Camera) -> Array:
-    """(3, 3) homography from ground points (x, y, 1) in m to undistorted pixels: columns 0, 1, 3 of ``P``."""
-    return camera.P[:, [0, 1, 3]]

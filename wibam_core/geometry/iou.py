@@ -90,19 +90,8 @@ def iou_3d_paired(a: ArrayLike, b: ArrayLike) -> Array:
     return overlap / (first[:, SIZE].prod(axis=1) + second[:, SIZE].prod(axis=1) - overlap)
 
 
-def _all_pairs(a: ArrayLike, b: ArrayLike) -> tuple[Array, Array, tuple[int, int]]:
-    first, second = _as_boxes(a), _as_boxes(b)
-    shape = (len(first), len(second))
-    return np.repeat(first, len(second), axis=0), np.tile(second, (len(first), 1)), shape
-
-
 def bev_iou(a: ArrayLike, b: ArrayLike) -> Array:
     """Bird's-eye-view IoU (N, M) of every box of a (N, 7) with every box of b (M, 7)."""
-    first, second, shape = _all_pairs(a, b)
-    return bev_iou_paired(first, second).reshape(shape)
-
-
-def iou_3d(a: ArrayLike, b: ArrayLike) -> Array:
-    """Volume IoU (N, M) of every box of a (N, 7) with every box of b (M, 7)."""
-    first, second, shape = _all_pairs(a, b)
-    return iou_3d_paired(first, second).reshape(shape)
+    first, second = _as_boxes(a), _as_boxes(b)
+    pairs = np.repeat(first, len(second), axis=0), np.tile(second, (len(first), 1))
+    return bev_iou_paired(*pairs).reshape(len(first), len(second))

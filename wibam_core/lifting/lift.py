@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from typing import Any
@@ -86,7 +86,6 @@ def lift(
     rig: CameraRig,
     config: LiftConfig,
     progress: Progress = silent,
-    heading_hints: Mapping[int, float] | None = None,
 ) -> LiftResult:
     """Fit every vehicle that enough cameras see, using its whole track.
 
@@ -97,8 +96,6 @@ def lift(
         rig: the cameras that the instants name.
         config: fewest views, most steps, largest residual, whether bodies are corrected.
         progress: told now and then.
-        heading_hints: track id -> yaw in the world (rad) from elsewhere, e.g. a network; it only decides which end of
-            a vehicle that never moves is its front.
 
     Returns:
         Boxes in the world with ``ids`` = track id, ``scores`` = confidence and standard deviations. A standing
@@ -139,7 +136,7 @@ def lift(
     progress(0.5, "combining fits over tracks")
     motion = smooth(tracks, parameters[:, PLACE], covariance[:, PLACE, PLACE])
     yaw, yaw_sd = _headings(tracks, seen.classes, motion, _FIT_JUMP_M)
-    standing = standing_headings(tracks, seen, parameters, covariance, yaw, yaw_sd, heading_hints or {})
+    standing = standing_headings(tracks, parameters, covariance, yaw, yaw_sd)
     never = ~np.isfinite(yaw_sd)
     yaw, yaw_sd = np.where(never, standing.yaw_rad, yaw), np.where(never, standing.axis_sd_rad, yaw_sd)
     information = size_information(first.information.numpy().astype(np.float64))

@@ -2,21 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
 from scipy.spatial import cKDTree
 
 from wibam_core.lifting.fit import PLACE, YAW
-from wibam_core.lifting.observations import Observations
 from wibam_core.lifting.trajectory import Tracks
 from wibam_core.scene import FloatArray
 
 #: S.d. of a yaw whose front may as well be its rear.
 UNKNOWN_YAW_SD_RAD = np.pi / 2
 _FLOW_SD_RAD = 0.5
-_HINT_SD_RAD = 0.3
 _FLOW_RADIUS_M = 2.0
 _FLOW_VOTES = 3.0
 _AXIS_FLOOR_RAD = 0.03
@@ -33,28 +30,24 @@ class StandingHeadings:
 
 def standing_headings(
     tracks: Tracks,
-    seen: Observations,
     parameters: FloatArray,
     covariance: FloatArray,
     yaw: FloatArray,
     yaw_sd: FloatArray,
-    hints: Mapping[int, float],
 ) -> StandingHeadings:
     """Headings of the tracks without any motion; other observations keep a yaw of 0 and are not to be used.
 
-    The axis is the mean direction, modulo half a turn, of the track's fits. The front is where ``hints`` say, else
-    where vehicles that pass through the same place go.
+    The axis is the mean direction, modulo half a turn, of the track's fits. The front is where vehicles
+    go that pass through the same place.
 
     Args:
         tracks: how the observations form tracks.
-        seen: the observations.
         parameters: (N, 6) single fits.
         covariance: (N, 6, 6) of them.
         yaw: (N,) by motion.
         yaw_sd: (N,) of it, infinite for tracks that never move.
-        hints: track id -> yaw, rad.
     """
-    n = len(seen)
+    n = len(yaw)
     found = StandingHeadings(np.zeros(n), np.full(n, UNKNOWN_YAW_SD_RAD), np.full(n, UNKNOWN_YAW_SD_RAD))
     moving = np.isfinite(yaw_sd)
     flow = cKDTree(parameters[moving, PLACE]) if moving.any() else None
@@ -68,10 +61,7 @@ def standing_headings(
         # of independent directions with resultant length R the mean's doubled angle spreads as √(−2 ln R)
         spread = 0.5 * np.sqrt(-2 * np.log(np.clip(abs(doubled), 1e-3, 1 - 1e-9)))
         found.axis_sd_rad[own] = np.hypot(spread, _AXIS_FLOOR_RAD)
-        hint = hints.get(int(seen.tracks[own[0]]))
-        if hint is not None:
-            along, doubt = np.cos(hint - axis), _HINT_SD_RAD
-        elif flow is not None:
+        if flow is not None:
             near = flow.query_ball_point(np.median(parameters[own, PLACE], axis=0), _FLOW_RADIUS_M)
             along = float(np.cos(yaw[moving][near] - axis).sum())
             doubt = _FLOW_SD_RAD if abs(along) > _FLOW_VOTES else UNKNOWN_YAW_SD_RAD

@@ -14,7 +14,6 @@ from wibam_core.calibration.homography import (
     solve_ground_camera,
 )
 from wibam_core.errors import CalibrationError
-from wibam_core.geometry.ground import ground_homography
 
 GROUND = np.array([[-9, -6], [8, -7], [-7, 8], [9, 9], [0, 1], [-4, 3], [5, -2], [2, 7]], dtype=float)
 cameras = st.builds(
@@ -26,6 +25,11 @@ cameras = st.builds(
     radius=st.floats(15, 35),
     focal=st.floats(300, 1200),
 )
+
+
+def ground_homography(camera):
+    """From ground points (x, y, 1) to pixels: the projection without its column for z."""
+    return camera.P[:, [0, 1, 3]]
 
 
 def world_of(ground):

@@ -158,29 +158,6 @@ def test_time_offsets_between_cameras_are_allowed_for() -> None:
     assert error(informed) < 0.8 * error(ignored)
 
 
-def test_a_hint_turns_only_vehicles_that_never_move() -> None:
-    scene = crossing()
-    still = [
-        AnnotatedInstant(i.time_ns, scene.instants[40].detections, scene.instants[40].vehicles)
-        for i in scene.instants[:6]
-    ]
-    tracks = {v.track_id for v in scene.instants[40].vehicles if len(v.views) > 1}
-    plain = lift(still, scene.rig, LiftConfig(max_residual=1.0)).vehicles[0]
-    turned = lift(
-        still,
-        scene.rig,
-        LiftConfig(max_residual=1.0),
-        heading_hints={int(i): float(box[6] + np.pi) for i, box in zip(plain.ids, plain.boxes, strict=True)},
-    ).vehicles[0]
-    both = sorted(set(plain.ids.tolist()) & set(turned.ids.tolist()))
-    assert tracks and tracks <= set(both)
-    plain, turned = (v.where(np.array([v.ids.tolist().index(i) for i in both])) for v in (plain, turned))
-    assert (plain.sd[:, 6] > 1).all(), "nothing tells front from rear"
-    assert (turned.sd[:, 6] < 1).all()
-    apart = np.abs((turned.boxes[:, 6] - plain.boxes[:, 6] + np.pi) % (2 * np.pi) - np.pi)
-    assert (apart > 2).all()
-
-
 def test_what_one_camera_alone_sees_all_the_time_is_lifted_too() -> None:
     scene = crossing()
     alone = [

@@ -3,30 +3,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from wibam_core.lifting.observations import Observations
 from wibam_core.lifting.orientation import UNKNOWN_YAW_SD_RAD, standing_headings
 from wibam_core.lifting.sizes import size_information, track_sizes
 from wibam_core.lifting.trajectory import Tracks
-
-
-def observations(tracks: np.ndarray) -> Observations:
-    n = len(tracks)
-    index, late = np.arange(n), np.zeros((n, 1))
-    return Observations(
-        instants=index,
-        vehicles=0 * index,
-        times_ns=index,
-        tracks=tracks,
-        classes=0 * index,
-        positions=np.zeros((n, 2)),
-        cameras=np.zeros((n, 1), np.int64),
-        seen=np.zeros((n, 1), bool),
-        boxes=np.zeros((n, 1, 4)),
-        edge_sd=np.ones((n, 1, 4)),
-        exact=np.zeros((n, 1, 4), bool),
-        cut=np.zeros((n, 1, 2), bool),
-        lateness_s=late,
-    )
 
 
 def parked_and_passing(passing_yaw: float, lateral_m: float) -> tuple:
@@ -38,25 +17,20 @@ def parked_and_passing(passing_yaw: float, lateral_m: float) -> tuple:
     covariance = np.tile(np.eye(6) * 1e-3, (20, 1, 1))
     yaw = np.where(tracks == 1, passing_yaw, 0.0)
     sd = np.where(tracks == 1, 0.05, np.inf)
-    return Tracks.group(tracks, np.arange(20)), observations(tracks), parameters, covariance, yaw, sd
+    return Tracks.group(tracks, np.arange(20)), parameters, covariance, yaw, sd
 
 
 def test_traffic_through_the_same_place_tells_front_from_rear() -> None:
     for passing, wanted in ((0.1, 1.0), (np.pi - 0.1, -1.0)):
-        found = standing_headings(*parked_and_passing(passing, 0.3), hints={})
+        found = standing_headings(*parked_and_passing(passing, 0.3))
         assert np.allclose(np.cos(found.yaw_rad[:10]), wanted, atol=0.05)
         assert (found.front_sd_rad[:10] < 1).all()
         assert (found.axis_sd_rad[:10] < 0.2).all()
 
 
 def test_traffic_elsewhere_tells_nothing() -> None:
-    found = standing_headings(*parked_and_passing(0.1, 6.0), hints={})
+    found = standing_headings(*parked_and_passing(0.1, 6.0))
     assert (found.front_sd_rad[:10] == UNKNOWN_YAW_SD_RAD).all()
-
-
-def test_a_hint_decides() -> None:
-    found = standing_headings(*parked_and_passing(0.1, 0.3), hints={0: 3.0})
-    assert np.allclose(np.cos(found.yaw_rad[:10]), -1.0, atol=0.05)
 
 
 def test_size_information_leaves_out_what_position_could_explain() -> None:

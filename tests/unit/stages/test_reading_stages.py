@@ -12,7 +12,6 @@ import pytest
 from wibam_core.config import DetectConfig, FramesConfig, PreflightConfig
 from wibam_core.detection.boxes import Found
 from wibam_core.errors import (
-    Cancelled,
     InputError,
     InvalidLabels,
     MissingCamera,
@@ -257,9 +256,9 @@ def test_frames_stop_when_their_progress_is_refused(three: Run) -> None:
     write_clocks(three.folder / "sync" / "clocks.json", CLOCKS)
 
     def cancel(fraction: float, message: str = "", **figures: float) -> None:
-        raise Cancelled("stopped")
+        raise InterruptedError("stopped")
 
-    with pytest.raises(Cancelled):
+    with pytest.raises(InterruptedError):
         frames.run(three.context("frames", progress=cancel), FramesConfig(rate_hz=25))
     with pytest.raises(InputError):
         FrameStore(three.folder / "frames")

@@ -9,7 +9,7 @@ import torch
 
 from tests.site_dataset import TinySite, tiny_site
 from wibam_core.config import FinetuneConfig
-from wibam_core.errors import Cancelled, NoMultiViewVehicles, NonFiniteLoss, TooFewInstants
+from wibam_core.errors import NoMultiViewVehicles, NonFiniteLoss, TooFewInstants
 from wibam_core.models.trunk import TrunkShape
 from wibam_core.networks.small.architecture import SmallNetwork
 from wibam_core.progress import silent
@@ -57,9 +57,9 @@ def test_resumes_equal_to_the_bit(site: TinySite, tmp_path: Path, method: str) -
 
     def stop_in_the_second_epoch(fraction: float, message: str = "", **figures: float) -> None:
         if fraction >= 0.5:
-            raise Cancelled("stop")
+            raise InterruptedError("stop")
 
-    with pytest.raises(Cancelled):
+    with pytest.raises(InterruptedError):
         finetune(network(), dataset_of(site), config, stop_in_the_second_epoch, tmp_path / "cut")
     resumed = finetune(network(), dataset_of(site), config, silent, tmp_path / "cut")
     assert_equal(whole, resumed)

@@ -10,7 +10,7 @@ import torch
 from tests.builders import look_at
 from tests.site_dataset import TinySite, tiny_site
 from wibam_core.config import FinetuneConfig
-from wibam_core.errors import Cancelled, NonFiniteLoss
+from wibam_core.errors import NonFiniteLoss
 from wibam_core.geometry.box3d import corners
 from wibam_core.geometry.torch_ops import CameraTensors
 from wibam_core.models.frames import Frame
@@ -108,9 +108,9 @@ def test_resumes_equal_to_the_bit(site: TinySite, tmp_path: Path) -> None:
 
     def stop_in_the_second_epoch(fraction: float, message: str = "", **figures: float) -> None:
         if fraction == 1.0:
-            raise Cancelled("stop")
+            raise InterruptedError("stop")
 
-    with pytest.raises(Cancelled):
+    with pytest.raises(InterruptedError):
         finetune(network(), dataset, options(), stop_in_the_second_epoch, tmp_path / "cut")
     resumed = finetune(network(), dataset, options(), silent, tmp_path / "cut")
     for name, value in whole.network.state_dict().items():
