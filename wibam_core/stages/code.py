@@ -41,7 +41,7 @@ COMPUTING = {
     "torch": "torch",
 }
 #: Libraries that check values, or write them so that they are read back equal: versions change no figure.
-CARRYING = frozenset({"onnx", "pyarrow", "pydantic", "pydantic_core", "safetensors"})
+CARRYING = frozenset({"onnx", "pyarrow", "pydantic", "pydantic_core", "pyproj", "safetensors"})
 
 
 @cache
