@@ -9,7 +9,7 @@ writing, and said in ``loses``.
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from enum import StrEnum
 from pathlib import Path
@@ -125,11 +125,12 @@ class ExchangeFormat(Protocol):
     @property
     def loses(self) -> str: ...
 
-    def write(self, content: Content, folder: Path) -> Sequence[Path]:
+    def write(self, content: Content, folder: Path) -> Iterable[Path]:
         """Write files into an empty folder.
 
         Returns:
-            The files, in the order in which a person would open them.
+            The files, in the order in which a person would open them. They may be written as one goes through them;
+            each is whole when it is come to, and may be removed then.
 
         Raises:
             InputError: the content cannot be written: a part, or where the site lies on Earth, is missing.

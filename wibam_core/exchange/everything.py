@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import shutil
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 
 from wibam_core.errors import InputError
@@ -31,39 +31,38 @@ class Everything:
         self._formats = formats
         self.writes = frozenset[Part]().union(*(fmt.writes for fmt in formats)) - {Part.FRAMES, Part.ORIGIN}
 
-    def write(self, content: Content, folder: Path) -> Sequence[Path]:
-        """Write a folder for each format that the content allows, our own files, and ``README.md``.
+    def write(self, content: Content, folder: Path) -> Iterator[Path]:
+        """Write a folder for each format that the content allows, our own files, and ``README.md``, one by one.
 
         Raises:
             InputError: it allows none.
         """
-        paths: list[Path] = []
         written: list[str] = []
         left_out: list[str] = []
         for fmt in self._formats:
             (folder / fmt.name).mkdir()
             try:
-                files = fmt.write(content, folder / fmt.name)
+                paths = list(fmt.write(content, folder / fmt.name))
             except InputError as error:
                 shutil.rmtree(folder / fmt.name)
                 left_out.append(f"- {error.message}. {error.hint}")
                 continue
-            paths += files
-            written.append(_section(fmt.title, [file.relative_to(folder) for file in files], f"Lost: {fmt.loses}"))
-        if not paths:
+            written.append(_section(fmt.title, [path.relative_to(folder) for path in paths], f"Lost: {fmt.loses}"))
+            yield from paths
+        if not written:
             raise InputError(
                 "there is nothing yet that any format holds", hint="Let the job run up to the calibration at least."
             )
-        own = [_copied(path, folder / _OWN_FOLDER / name) for name, path in content.files.items()]
-        if own:
-            written.append(
-                _section("WIBAM's own files", [path.relative_to(folder) for path in own], "Nothing is lost.")
-            )
-        name = content.site.name if content.site else "A site"
+        if content.files:
+            names = [Path(_OWN_FOLDER) / name for name in content.files]
+            written.append(_section("WIBAM's own files", names, "Nothing is lost."))
+            for name, path in zip(names, content.files.values(), strict=True):
+                yield _copied(path, folder / name)
+        title = content.site.name if content.site else "A site"
         closing = ["## Left out", "", *left_out] if left_out else []
         readme = folder / "README.md"
-        readme.write_text("\n".join([f"# {name}", "", *written, *closing]).rstrip() + "\n", encoding="utf-8")
-        return [readme, *paths, *own]
+        readme.write_text("\n".join([f"# {title}", "", *written, *closing]).rstrip() + "\n", encoding="utf-8")
+        yield readme
 
 
 def _section(title: str, files: Sequence[Path], note: str) -> str:

@@ -20,7 +20,7 @@ def test_every_format_has_its_folder_and_its_lines_in_the_readme(tmp_path: Path)
     assert given.site is not None
     site = given.site.model_copy(update={"origin": Origin(latitude_deg=48.0, longitude_deg=11.0)})
     given = replace(given, site=site)
-    readme, *paths = FORMATS["everything"].write(given, tmp_path)
+    *paths, readme = FORMATS["everything"].write(given, tmp_path)
     text = readme.read_text()
     others = [fmt for fmt in FORMATS.values() if fmt.name != "everything" and fmt.needs <= given.parts]
     assert {path.relative_to(tmp_path).parts[0] for path in paths} == {fmt.name for fmt in others}
@@ -30,7 +30,7 @@ def test_every_format_has_its_folder_and_its_lines_in_the_readme(tmp_path: Path)
 
 
 def test_what_the_content_does_not_allow_is_left_out_with_the_reason(tmp_path: Path) -> None:
-    readme, *paths = FORMATS["everything"].write(Content(tracks=content().tracks), tmp_path)
+    *paths, readme = FORMATS["everything"].write(Content(tracks=content().tracks), tmp_path)
     assert {path.parent.name for path in paths} == {"levelx", "ssam"}
     text = readme.read_text()
     assert "GeoJSON (WGS 84) needs origin, which is not there. Say in site.json" in text
@@ -44,10 +44,10 @@ def test_our_own_files_are_there_as_they_are(tmp_path: Path) -> None:
     own.write_text('{"ate": 0.4}')
     folder = tmp_path / "out"
     folder.mkdir()
-    paths = FORMATS["everything"].write(replace(content(), files={"evaluate/metrics.json": own}), folder)
-    assert paths[-1] == folder / "wibam" / "evaluate" / "metrics.json"
-    assert paths[-1].read_text() == own.read_text()
-    assert "- wibam/evaluate/metrics.json" in paths[0].read_text()
+    *_, copy, readme = FORMATS["everything"].write(replace(content(), files={"evaluate/metrics.json": own}), folder)
+    assert copy == folder / "wibam" / "evaluate" / "metrics.json"
+    assert copy.read_text() == own.read_text()
+    assert "- wibam/evaluate/metrics.json" in readme.read_text()
 
 
 def test_a_format_of_many_files_does_not_flood_the_readme(tmp_path: Path) -> None:
@@ -61,11 +61,11 @@ def test_a_format_of_many_files_does_not_flood_the_readme(tmp_path: Path) -> Non
                 path.write_text("")
             return paths
 
-    readme, *paths = Everything([Many()]).write(Content(), tmp_path)
+    *paths, readme = Everything([Many()]).write(Content(), tmp_path)
     assert len(paths) == 100
     assert readme.read_text().count(".txt") == 20 and "... and 80 more" in readme.read_text()
 
 
 def test_nothing_at_all_is_said(tmp_path: Path) -> None:
     with pytest.raises(InputError, match="nothing yet that any format holds"):
-        FORMATS["everything"].write(Content(), tmp_path)
+        list(FORMATS["everything"].write(Content(), tmp_path))
