@@ -38,7 +38,7 @@ class CalibrateConfig(StageConfig):
 class FramesConfig(StageConfig):
     rate_hz: float = Field(12.5, gt=0, le=120, description="common sampling rate")
     width_px: int = Field(960, ge=64, description="images wider than this are shrunk once, here")
-    jpeg_quality: int = Field(92, ge=30, le=100)
+    jpeg_quality: int = Field(92, ge=30, le=100, description="of the stored images, as OpenCV counts it")
 
 
 class DetectConfig(StageConfig):
@@ -46,8 +46,8 @@ class DetectConfig(StageConfig):
         "bundled", description="'custom': the site's own detector.onnx (YOLOX family, COCO classes)"
     )
     rate_hz: float = Field(6.25, gt=0, description="instants per second that are searched for vehicles")
-    min_score: float = Field(0.3, gt=0, lt=1)
-    nms_iou: float = Field(0.6, gt=0, lt=1)
+    min_score: float = Field(0.3, gt=0, lt=1, description="weaker boxes are left out")
+    nms_iou: float = Field(0.6, gt=0, lt=1, description="of two boxes that overlap more (IoU), the weaker is left out")
     refine: Literal["auto", "on", "off"] = Field(
         "auto",
         description="look at every box again beside the still background of its camera, which must not move, for"
@@ -63,21 +63,56 @@ class AssociateConfig(StageConfig):
     max_speed_mps: float = Field(
         30.0, gt=0, description="what is seen again farther away than this speed allows is another vehicle"
     )
+    max_gap_s: float = Field(
+        0.5,
+        gt=0,
+        description="a box that its camera does not find again for longer begins anew; three instants at the usual"
+        " detect.rate_hz: allow more where fewer are searched or a detector misses many",
+    )
+    max_hidden_moving_s: float = Field(
+        3.0,
+        ge=0,
+        description="a moving vehicle that all cameras lose for longer is another one when it is seen again: nobody"
+        " knows where it went meanwhile",
+    )
+    max_hidden_standing_s: float = Field(
+        45.0,
+        ge=0,
+        description="a standing vehicle that all cameras lose for longer is another one when it is seen again; a queue"
+        " may hide it for as long as a red light lasts",
+    )
 
 
 class DatasetConfig(StageConfig):
     rate_hz: float = Field(2.5, gt=0, description="instants per second that are trained and evaluated on")
-    train_share: float = Field(0.75, gt=0, lt=1)
-    val_share: float = Field(0.15, ge=0, lt=1)
+    train_share: float = Field(0.75, gt=0, lt=1, description="share of the footage, from its start, to train on")
+    val_share: float = Field(
+        0.15, ge=0, lt=1, description="share after that by which the best state is chosen; the rest tests it"
+    )
     gap_s: float = Field(2.0, ge=0, description="left out between subsets, so that no vehicle is in two")
 
 
 class LiftConfig(StageConfig):
     rate_hz: float = Field(5.0, gt=0, description="instants per second that are fitted, beside those of the split")
-    min_views: int = Field(2, ge=2)
-    iterations: int = Field(50, ge=5)
+    min_views: int = Field(2, ge=2, description="cameras that must see a vehicle at an instant for it to be fitted")
+    iterations: int = Field(50, ge=5, description="most Gauss-Newton steps of a fit")
     max_residual: float = Field(0.2, gt=0, description="fits with a larger mean 1 - GIoU are not trained on")
+    few_views_sightings: int = Field(
+        5,
+        ge=2,
+        description="where fewer than min_views cameras see a vehicle, it is fitted if its track has so many sightings:"
+        " they and its class tell its size",
+    )
+    few_views_sd_m: float = Field(
+        0.5,
+        gt=0,
+        description="fits of vehicles that fewer than min_views cameras see are kept if the standard deviation of their"
+        " place is at most this",
+    )
     learn_templates: bool = Field(True, description="correct each class's body by what all its tracks show")
+    min_template_tracks: int = Field(
+        5, ge=2, description="classes with fewer tracks keep their body: one odd vehicle is not the class"
+    )
 
 
 #: Options of fine-tuning that only some methods have a use for.
@@ -121,8 +156,8 @@ class FinetuneConfig(StageConfig):
         description="'small': how wide the network sees the images; unless given, 640; a step takes as much longer as"
         " an image has more pixels",
     )
-    steps: int = Field(1200, ge=1)
-    batch_size: int = Field(8, ge=1)
+    steps: int = Field(1200, ge=1, description="gradient steps in all")
+    batch_size: int = Field(8, ge=1, description="images per step")
     learning_rate: float | None = Field(
         None,
         gt=0,
@@ -140,7 +175,7 @@ class FinetuneConfig(StageConfig):
         None, gt=0, description="'combined': weight of the multi-view loss; unless given, 0.1"
     )
     steps_per_epoch: int = Field(50, ge=1, description="a checkpoint and a validation after each")
-    seed: int = Field(0, ge=0, le=2**63 - 1)
+    seed: int = Field(0, ge=0, le=2**63 - 1, description="of the order of images and of their augmentation")
 
     @pydantic.field_validator("decode")
     @classmethod
@@ -175,14 +210,34 @@ class EvaluateConfig(StageConfig):
     max_range_m: float = Field(50.0, gt=0, description="labels farther from the camera are not counted")
     min_visibility: float = Field(0.3, ge=0, le=1, description="labels less visible are not counted")
     match_distance_m: float = Field(4.0, gt=0, description="a detection farther than this from a label is no match")
-    min_score: float = Field(0.25, ge=0, lt=1)
+    min_score: float = Field(0.25, ge=0, lt=1, description="weaker detections are not counted")
 
 
 class TrackConfig(StageConfig):
     rate_hz: float = Field(6.25, gt=0, description="instants per second that are tracked on")
-    min_score: float = Field(0.3, ge=0, lt=1)
-    gate_m: float = Field(4.0, gt=0)
+    min_score: float = Field(0.3, ge=0, lt=1, description="weaker detections are not used")
+    max_place_sd_m: float = Field(
+        3.0,
+        gt=0,
+        description="detections whose place is less certain than this (standard deviation) are not used: far away, near"
+        " the horizon",
+    )
+    fusion_radius_m: float = Field(
+        2.5,
+        gt=0,
+        description="two cameras' detections that lie nearer are one vehicle, farther ones two; about a lane less a"
+        " car's width, and as much larger along a vehicle as that is longer than a car",
+    )
+    gate_m: float = Field(
+        4.0, gt=0, description="a detection farther than this from where a track is expected does not go on with it"
+    )
     min_hits: int = Field(4, ge=1, description="tracks seen fewer times are dropped")
+    min_seen_share: float = Field(
+        0.3,
+        ge=0,
+        le=1,
+        description="a track seen at a smaller share of the instants that it lasted is dropped: a chain of false boxes",
+    )
     max_coast_s: float = Field(1.0, gt=0, description="a track unseen for longer ends")
 
 
@@ -192,6 +247,38 @@ class SafetyConfig(StageConfig):
     min_speed_mps: float = Field(1.0, ge=0, description="at least one of the two must move this fast")
     min_deceleration_mps2: float = Field(
         3.0, ge=0, description="a collision that softer braking would avoid is no conflict"
+    )
+    min_instants: int = Field(
+        3,
+        ge=1,
+        description="fewest instants in a row with a time to collision below ttc_s that are a conflict: one may err",
+    )
+    min_duration_s: float = Field(
+        0.2, ge=0, description="shortest time for which the time to collision stays below ttc_s in a conflict"
+    )
+    min_probability: float = Field(
+        0.8,
+        ge=0,
+        le=1,
+        description="least probability, by the states' standard deviations, that the time to collision in a conflict is"
+        " below ttc_s: a pass close by is not taken for a crash course",
+    )
+    min_track_s: float = Field(
+        1.0, ge=0, description="road users that were tracked for a shorter time have no sure speed and are left out"
+    )
+    max_overlap_iou: float = Field(
+        0.1,
+        ge=0,
+        le=1,
+        description="road users whose footprints ever overlap by more (IoU) are an error of tracking: nobody stands in"
+        " another",
+    )
+    same_direction_deg: float = Field(
+        30.0,
+        gt=0,
+        le=90,
+        description="headings that differ by less are one direction (rear end, merging), by more than 180 less this"
+        " opposite ones (head on); all others cross",
     )
 
 

@@ -58,7 +58,7 @@ def associate(
     Args:
         instants: in order of time, with detections; their vehicles are ignored.
         rig: calibrated cameras; what other cameras saw is not looked at.
-        config: radius, range and speed limits.
+        config: radius, range, speed and for how long a vehicle may be hidden.
         progress: told now and then.
 
     Returns:
@@ -85,9 +85,9 @@ def associate(
             clustering(index / len(rays), "clustering rays")
         clusters.append(_cluster(instant_rays, config.cluster_radius_m))
     progress(0.8, "following over time")
-    vehicles = _followed(instants, rays, clusters, tuple(rig))
+    vehicles = _followed(instants, rays, clusters, tuple(rig), config.max_gap_s)
     clusters = [_clusters(r, np.unique(v, return_inverse=True)[1]) for r, v in zip(rays, vehicles, strict=True)]
-    tracks = stitch([c.sightings for c in clusters], [np.unique(v) for v in vehicles], config.max_speed_mps)
+    tracks = stitch([c.sightings for c in clusters], [np.unique(v) for v in vehicles], config)
     classes = _track_classes(clusters, tracks)
     annotated = [
         replace(instant, vehicles=_vehicles(r, c, t, k, tuple(rig)))
@@ -154,9 +154,10 @@ def _followed(
     rays: Sequence[_Rays],
     clusters: Sequence[_Clusters],
     camera_ids: tuple[str, ...],
+    max_gap_s: float,
 ) -> list[IntArray]:
     """For every instant the vehicle (N,) that each ray belongs to, over all instants, counted from 0."""
-    numbers = tracklets(instants, camera_ids)
+    numbers = tracklets(instants, camera_ids, max_gap_s)
     of_rays = [
         np.array([found[camera_ids[c]][row] for c, row in zip(r.cameras, r.rows, strict=True)], dtype=np.int64)
         for r, found in zip(rays, numbers, strict=True)

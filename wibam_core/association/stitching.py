@@ -17,6 +17,7 @@ from scipy.optimize import linear_sum_assignment
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
+from wibam_core.config import AssociateConfig
 from wibam_core.scene import FloatArray, IntArray
 
 #: The end of a track is what was seen of it within this time.
@@ -24,8 +25,6 @@ _END_S = 1.5
 _USUAL_SPEED_MPS = 10.0
 #: A vehicle slower than this stands.
 _STANDING_MPS = 1.0
-#: How long a moving and a standing vehicle may be hidden; what that costs mostly ends it sooner.
-_LONGEST_MOVING_S, _LONGEST_STANDING_S = 3.0, 45.0
 #: S.d. of a moving vehicle's acceleration meanwhile, about the mean of both ends' speeds and between them; of those
 #: speeds; and of a standing vehicle's place.
 _ACCELERATION_MPS2, _MEAN_ACCELERATION_MPS2, _SPEED_SD_MPS, _CREEP_M = 1.0, 2.0, 1.5, 0.6
@@ -59,13 +58,13 @@ class _Ends(NamedTuple):
     velocities: FloatArray
 
 
-def stitch(instants: Sequence[Sightings], tracks: Sequence[IntArray], max_speed_mps: float) -> list[IntArray]:
+def stitch(instants: Sequence[Sightings], tracks: Sequence[IntArray], config: AssociateConfig) -> list[IntArray]:
     """Give tracks that show the same vehicle one id.
 
     Args:
         instants: in order of time.
         tracks: for every instant (N,) the track of each sighting, from 0 on.
-        max_speed_mps: no vehicle is faster.
+        config: how fast vehicles are, and for how long one may be hidden; what that costs mostly ends it sooner.
 
     Returns:
         The same with the ids anew, 0, 1, ...; −1 for what is seen at one instant only.
@@ -93,8 +92,9 @@ def stitch(instants: Sequence[Sightings], tracks: Sequence[IntArray], max_speed_
         )
 
     ends, begins = ends_at(-1), ends_at(0)
-    earlier, later = _candidates(ends.times_s, begins.times_s)
-    cost = _costs(_of(ends, earlier), _of(begins, later), max_speed_mps)
+    longest_s = max(config.max_hidden_moving_s, config.max_hidden_standing_s)
+    earlier, later = _candidates(ends.times_s, begins.times_s, longest_s)
+    cost = _costs(_of(ends, earlier), _of(begins, later), config)
     cost += _CLASS_CHANGE_COST * (usual[earlier] != usual[later])
     near = cost <= _MOST_COST
     earlier, later = _matched(earlier[near], later[near], cost[near] - _MOST_COST - 1e-9, count)
@@ -111,11 +111,11 @@ def _of(ends: _Ends, rows: IntArray) -> _Ends:
     return _Ends(*(of[rows] for of in ends))
 
 
-def _candidates(end_s: FloatArray, begin_s: FloatArray) -> tuple[IntArray, IntArray]:
-    """Pairs of tracks of which the second begins (T,) after the first ends (T,), and not too long after."""
+def _candidates(end_s: FloatArray, begin_s: FloatArray, longest_s: float) -> tuple[IntArray, IntArray]:
+    """Pairs of tracks of which the second begins (T,) after the first ends (T,), at most ``longest_s`` after."""
     order = np.argsort(begin_s, kind="stable")
     first = np.searchsorted(begin_s[order], end_s, side="right")
-    last = np.searchsorted(begin_s[order], end_s + max(_LONGEST_MOVING_S, _LONGEST_STANDING_S), side="right")
+    last = np.searchsorted(begin_s[order], end_s + longest_s, side="right")
     earlier = np.repeat(np.arange(len(end_s)), last - first)
     later = [order[a:b] for a, b in zip(first, last, strict=True)]
     return earlier, np.concatenate([*later, np.empty(0, np.int64)])
@@ -155,20 +155,20 @@ def _end(
     return at, place, float(np.median(sd_m[own])), velocity
 
 
-def _costs(ends: _Ends, begins: _Ends, max_speed_mps: float) -> FloatArray:
+def _costs(ends: _Ends, begins: _Ends, config: AssociateConfig) -> FloatArray:
     """(P,) of P pairs: what it costs to take a track that ends for the one that begins; infinite where it cannot be."""
     hidden_s = begins.times_s - ends.times_s
     moved = begins.positions - ends.positions
     variance = ends.sd_m**2 + begins.sd_m**2
-    far = np.linalg.norm(moved, axis=1) > max_speed_mps * hidden_s + _GATE_SD * np.sqrt(variance)
+    far = np.linalg.norm(moved, axis=1) > config.max_speed_mps * hidden_s + _GATE_SD * np.sqrt(variance)
     slow = [np.linalg.norm(of.velocities, axis=1) < _STANDING_MPS for of in (ends, begins)]
     mean_velocity = 0.5 * (ends.velocities + begins.velocities)
     change = np.square(begins.velocities - ends.velocities).sum(axis=1)
     change /= _SPEED_SD_MPS**2 + (_MEAN_ACCELERATION_MPS2 * hidden_s) ** 2
     ways = (
-        (slow[0] & slow[1] & (hidden_s <= _LONGEST_STANDING_S), moved, _CREEP_M, 0.0),
+        (slow[0] & slow[1] & (hidden_s <= config.max_hidden_standing_s), moved, _CREEP_M, 0.0),
         (
-            hidden_s <= _LONGEST_MOVING_S,
+            hidden_s <= config.max_hidden_moving_s,
             moved - mean_velocity * hidden_s[:, None],
             0.5 * _ACCELERATION_MPS2 * hidden_s**2,
             change,

@@ -13,18 +13,19 @@ from wibam_core.scene import AnnotatedInstant, Detections2D, IntArray
 #: A box that overlaps where another was expected by less than this is none of its vehicle's: right after that was seen,
 #: and less for every second since, down to the least.
 _IOU_AT_ONCE, _IOU_PER_S, _LEAST_IOU = 0.55, 0.5, 0.3
-#: A vehicle that is not found for longer begins anew.
-_LONGEST_GAP_S = 0.5
 #: How fast the speed of a box's edges follows what is seen.
 _SPEED_GAIN = 0.4
 
 
-def tracklets(instants: Sequence[AnnotatedInstant], camera_ids: Sequence[str]) -> list[dict[str, IntArray]]:
+def tracklets(
+    instants: Sequence[AnnotatedInstant], camera_ids: Sequence[str], max_gap_s: float
+) -> list[dict[str, IntArray]]:
     """Number the boxes of every camera so that consecutive ones of a vehicle have one number.
 
     Args:
         instants: in order of time.
         camera_ids: whose boxes.
+        max_gap_s: a vehicle that is not found for longer begins anew.
 
     Returns:
         For every instant, by camera, the number (N,) of each box, unique over all cameras.
@@ -32,7 +33,7 @@ def tracklets(instants: Sequence[AnnotatedInstant], camera_ids: Sequence[str]) -
     found: list[dict[str, IntArray]] = [{} for _ in instants]
     count = 0
     for camera_id in camera_ids:
-        active = _Active()
+        active = _Active(max_gap_s)
         for number, instant in enumerate(instants):
             seen = instant.detections.get(camera_id)
             if seen is not None:
@@ -48,14 +49,15 @@ class _Active:
         boxes: (T, 4) then. speeds: (T, 4) of their edges, px/s.
     """
 
-    def __init__(self) -> None:
+    def __init__(self, max_gap_s: float) -> None:
+        self._max_gap_s = max_gap_s
         self.ids, self.times_s = np.empty(0, np.int64), np.empty(0)
         self.boxes, self.speeds = np.empty((0, 4)), np.empty((0, 4))
 
     def follow(self, seen: Detections2D, count: int) -> tuple[IntArray, int]:
         """Numbers (N,) of the boxes seen, new ones from ``count`` on, and the next new number."""
         now_s = seen.frame_time_ns * 1e-9
-        alive = now_s - self.times_s <= _LONGEST_GAP_S
+        alive = now_s - self.times_s <= self._max_gap_s
         since = (now_s - self.times_s[alive])[:, None]
         ids, boxes, speeds = self.ids[alive], self.boxes[alive], self.speeds[alive]
         times_s = self.times_s[alive]

@@ -54,11 +54,6 @@ _YAW_STARTS = 4
 _HIDDEN_NOISE = 1.5
 #: Fits from which the detector's noise is estimated.
 _NOISE_SAMPLE = 400
-#: A track that was seen at this many instants is fitted where too few cameras see it, too: by a size that its class and
-#: all its sightings tell.
-_SIGHTINGS_TO_FIT = 5
-#: Fits that fewer cameras see than asked for must be as certain as this, m.
-_FEW_VIEWS_SD_M = 0.5
 
 
 @dataclass(frozen=True, eq=False)
@@ -101,7 +96,7 @@ def lift(
         Boxes in the world with ``ids`` = track id, ``scores`` = confidence and standard deviations. A standing
         vehicle whose front could not be told from its rear has a yaw s.d. above 1 rad.
     """
-    seen = _worth_fitting(observe(instants, rig, 1), config.min_views)
+    seen = _worth_fitting(observe(instants, rig, 1), config)
     if not len(seen):
         return LiftResult(
             [Vehicles3D.of(i.time_ns, np.empty((0, 7))) for i in instants],
@@ -128,7 +123,9 @@ def lift(
     shapes = Shapes.unlearned()
     if config.learn_templates:
         usable = known & (views >= config.min_views)
-        shapes = learn_shapes(problem, seen.classes, tracks, usable, config.iterations)
+        shapes = learn_shapes(
+            problem, seen.classes, tracks, usable, iterations=config.iterations, min_tracks=config.min_template_tracks
+        )
         problem = with_bodies(problem, shapes.bodies[seen.classes])
     first = _first_fit(problem, known, config.iterations)
     parameters, covariance = _solution(first, problem)
@@ -167,7 +164,7 @@ def lift(
     boxes = _boxes(parameters)
     boxes[:, XY] = tracks.scatter(motion.position, boxes[:, XY].copy()) + origin
     scores = confidence(residual, views, sd, boxes, config.max_residual)
-    certain = np.hypot(sd[:, X], sd[:, Y]) <= _FEW_VIEWS_SD_M
+    certain = np.hypot(sd[:, X], sd[:, Y]) <= config.few_views_sd_m
     keep = (residual <= config.max_residual) & ((views >= config.min_views) | certain)
     vehicles = _by_instant(instants, seen, keep, boxes, _box_sd(sd, boxes), scores)
     progress(1.0, "lifted")
@@ -179,11 +176,12 @@ def _moved(camera: Camera, shift_m: FloatArray) -> Camera:
     return replace(camera, T_world_cam=SE3(pose.rotation, pose.translation + np.append(shift_m, 0.0)))
 
 
-def _worth_fitting(seen: Observations, min_views: int) -> Observations:
+def _worth_fitting(seen: Observations, config: LiftConfig) -> Observations:
     """Vehicles in enough views, and those in fewer whose tracks are long enough; all in tracks."""
     linked = seen.tracks >= 0
     count = np.bincount(seen.tracks[linked], minlength=int(seen.tracks.max(initial=-1)) + 1)
-    return seen.where(linked & ((seen.seen.sum(axis=1) >= min_views) | (count[seen.tracks] >= _SIGHTINGS_TO_FIT)))
+    enough = seen.seen.sum(axis=1) >= config.min_views
+    return seen.where(linked & (enough | (count[seen.tracks] >= config.few_views_sightings)))
 
 
 def _headings(tracks: Tracks, classes: IntArray, motion: Motion, jump_m: float) -> tuple[FloatArray, FloatArray]:

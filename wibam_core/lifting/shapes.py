@@ -41,8 +41,6 @@ MODES = ("roof_length", "roof_shift", "roof_width", "corner_cut", "waist_height"
 MODE_SD: FloatArray = np.array([0.06, 0.05, 0.06, 0.06, 0.06])
 MODE_SD.setflags(write=False)
 
-#: Classes with fewer tracks keep their template.
-FEWEST_TRACKS = 5
 #: So many sightings of a track are looked at; they count as this many, since errors of one vehicle are alike.
 _SIGHTINGS = 8
 _INDEPENDENT_SIGHTINGS = 4.0
@@ -134,7 +132,9 @@ def learn_shapes(
     classes: IntArray,
     tracks: Tracks,
     usable: np.ndarray,
+    *,
     iterations: int,
+    min_tracks: int,
     templates: FloatArray = BODIES,
 ) -> Shapes:
     """Estimate the modes of every class that has enough tracks.
@@ -145,10 +145,11 @@ def learn_shapes(
         tracks: how the vehicles form tracks.
         usable: (N,) bool: seen by several cameras, and with a heading that is known.
         iterations: most steps of a fit.
+        min_tracks: classes with fewer keep their template.
         templates: (classes, P, 3).
     """
     shapes = Shapes.unlearned(templates)
-    rows, track = _sample(tracks, usable, classes)
+    rows, track = _sample(tracks, usable, classes, min_tracks)
     if not len(rows):
         return shapes
     own = classes[rows]
@@ -171,10 +172,10 @@ def _costs(shapes: Shapes, fitted: Fit, classes: IntArray) -> FloatArray:
     return np.asarray(own + 0.5 * ((shapes.modes / MODE_SD) ** 2).sum(axis=1))
 
 
-def _sample(tracks: Tracks, usable: np.ndarray, classes: IntArray) -> tuple[IntArray, IntArray]:
+def _sample(tracks: Tracks, usable: np.ndarray, classes: IntArray, min_tracks: int) -> tuple[IntArray, IntArray]:
     """Rows of up to `_SIGHTINGS` usable sightings of every track, spread over it, and the number of the track of each.
 
-    Classes with fewer than `FEWEST_TRACKS` tracks are left out.
+    Classes with fewer than ``min_tracks`` tracks are left out.
     """
     picked = []
     for rows, valid in zip(tracks.rows, tracks.valid, strict=True):
@@ -183,7 +184,7 @@ def _sample(tracks: Tracks, usable: np.ndarray, classes: IntArray) -> tuple[IntA
         if len(own):
             picked.append(own[np.unique(np.linspace(0, len(own) - 1, _SIGHTINGS).round().astype(np.int64))])
     count = np.bincount([classes[own[0]] for own in picked], minlength=len(CLASSES))
-    picked = [own for own in picked if count[classes[own[0]]] >= FEWEST_TRACKS]
+    picked = [own for own in picked if count[classes[own[0]]] >= min_tracks]
     if not picked:
         return np.empty(0, dtype=np.int64), np.empty(0, dtype=np.int64)
     return np.concatenate(picked), np.repeat(np.arange(len(picked)), [len(own) for own in picked])

@@ -13,6 +13,7 @@ their speed, are left out as a whole: they are one vehicle tracked twice, or non
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from enum import StrEnum
@@ -35,18 +36,6 @@ from wibam_core.safety.uncertainty import Interval, pet_interval, ttc_draws
 from wibam_core.scene import Track
 
 Array = NDArray[np.float64]
-
-#: A conflict lasts at least this many instants in a row and this long.
-MIN_INSTANTS = 3
-MIN_DURATION_S = 0.2
-#: At least this share of the draws must fall below the threshold: a pass close by is not taken for a crash course.
-MIN_PROBABILITY = 0.8
-#: Road users that were tracked for a shorter time have no sure speed.
-MIN_TRACK_S = 1.0
-#: Two road users never stand in each other: a larger BEV IoU at any instant makes the pair an error of tracking.
-MAX_OVERLAP_IOU = 0.1
-#: Headings that differ by less are one direction; by more than 180° minus this, opposite ones.
-SAME_DIRECTION_RAD = np.radians(30.0)
 
 
 class ConflictType(StrEnum):
@@ -103,7 +92,7 @@ def find_conflicts(
         seed: of the draws that give the intervals.
         progress: told after every few pairs.
     """
-    tracks = [track for track in tracks if track.times_ns[-1] - track.times_ns[0] >= MIN_TRACK_S * 1e9]
+    tracks = [track for track in tracks if track.times_ns[-1] - track.times_ns[0] >= config.min_track_s * 1e9]
     by_id = {track.track_id: track for track in tracks}
     rng = np.random.default_rng(seed)
     found = []
@@ -121,22 +110,22 @@ def find_conflicts(
 def _conflict(
     a: Track, b: Track, instants: PairInstants, config: SafetyConfig, rng: np.random.Generator
 ) -> Conflict | None:
-    if (bev_iou_paired(a.boxes[instants.index_a], b.boxes[instants.index_b]) > MAX_OVERLAP_IOU).any():
+    if (bev_iou_paired(a.boxes[instants.index_a], b.boxes[instants.index_b]) > config.max_overlap_iou).any():
         return None
     encroachment = _encroachment(a, b, config)
     run = _closest_run(a, b, instants, config)
     if run is None:
         if encroachment is None:
             return None
-        return _by_encroachment(a, b, encroachment)
+        return _by_encroachment(a, b, encroachment, config)
     i, j, ttc, duration_s = run
     draws = ttc_draws(a, i, b, j, rng)
     probability = float(np.mean(draws < config.ttc_s))
-    if probability < MIN_PROBABILITY:
-        return _by_encroachment(a, b, encroachment) if encroachment is not None else None
+    if probability < config.min_probability:
+        return _by_encroachment(a, b, encroachment, config) if encroachment is not None else None
     boxes = np.stack([a.boxes[i], b.boxes[j]])
     velocities = np.stack([a.velocities_mps[i], b.velocities_mps[j]])
-    kind, difference = classify(boxes)
+    kind, difference = classify(boxes, math.radians(config.same_direction_deg))
     place = boxes[:, XY].mean(axis=0)
     return Conflict(
         track_ids=(a.track_id, b.track_id),
@@ -168,13 +157,13 @@ def _closest_run(
     braking = deceleration_to_avoid(ttc, a.velocities_mps[i], b.velocities_mps[j])
     critical &= braking >= config.min_deceleration_mps2
     at = np.flatnonzero(critical)
-    if len(at) < MIN_INSTANTS:
+    if len(at) < config.min_instants:
         return None
     critical[at] = collide_turning(_states(a, i[at]), _states(b, j[at]), config.ttc_s)
     best = None
     for start, end in _runs(critical, instants.consecutive):
         duration_s = float(a.times_ns[i[end - 1]] - a.times_ns[i[start]]) * 1e-9
-        if end - start < MIN_INSTANTS or duration_s < MIN_DURATION_S:
+        if end - start < config.min_instants or duration_s < config.min_duration_s:
             continue
         closest = start + int(np.argmin(ttc[start:end]))
         if best is None or ttc[closest] < best[2]:
@@ -203,7 +192,9 @@ def _runs(critical: NDArray[np.bool_], consecutive: NDArray[np.bool_]) -> list[t
 
 def _encroachment(a: Track, b: Track, config: SafetyConfig) -> Encroachment | None:
     """The encroachment of paths that cross, if short enough and neither crept; overlap at one time measures none."""
-    found = post_encroachment(a, b, max_pet_s=config.pet_s, min_heading_difference_rad=float(SAME_DIRECTION_RAD))
+    found = post_encroachment(
+        a, b, max_pet_s=config.pet_s, min_heading_difference_rad=math.radians(config.same_direction_deg)
+    )
     if found is None or found.pet_s == 0 or found.pet_s >= config.pet_s:
         return None
     first, second = (a, b) if found.first_index == 0 else (b, a)
@@ -214,11 +205,11 @@ def _encroachment(a: Track, b: Track, config: SafetyConfig) -> Encroachment | No
     )
 
 
-def _by_encroachment(a: Track, b: Track, encroachment: Encroachment) -> Conflict:
+def _by_encroachment(a: Track, b: Track, encroachment: Encroachment, config: SafetyConfig) -> Conflict:
     times = (encroachment.leaves_ns, encroachment.arrives_ns)
     at_a, at_b = times if encroachment.first_index == 0 else times[::-1]
     i, j = _nearest(a, at_a), _nearest(b, at_b)
-    kind, difference = classify(np.stack([a.boxes[i], b.boxes[j]]))
+    kind, difference = classify(np.stack([a.boxes[i], b.boxes[j]]), math.radians(config.same_direction_deg))
     return Conflict(
         track_ids=(a.track_id, b.track_id),
         classes=(a.vehicle_class, b.vehicle_class),
@@ -238,16 +229,16 @@ def _by_encroachment(a: Track, b: Track, encroachment: Encroachment) -> Conflict
     )
 
 
-def classify(boxes: Array) -> tuple[ConflictType, float]:
+def classify(boxes: Array, same_direction_rad: float) -> tuple[ConflictType, float]:
     """Type and difference of headings in [0, π] of two boxes (2, 7).
 
     One direction and one behind the other: rear end; one direction, side by side: merging; opposite directions:
-    head on; all else crosses.
+    head on; all else crosses. Headings that differ by less than ``same_direction_rad`` are one direction.
     """
     difference = float(abs(normalise_angle(boxes[1, YAW] - boxes[0, YAW])))
-    if difference > np.pi - SAME_DIRECTION_RAD:
+    if difference > np.pi - same_direction_rad:
         return ConflictType.HEAD_ON, difference
-    if difference >= SAME_DIRECTION_RAD:
+    if difference >= same_direction_rad:
         return ConflictType.CROSSING, difference
     yaw = boxes[0, YAW] + 0.5 * float(normalise_angle(boxes[1, YAW] - boxes[0, YAW]))
     offset = boxes[1, XY] - boxes[0, XY]

@@ -16,10 +16,8 @@ from wibam_core.scene import Vehicles3D
 Array = NDArray[np.float64]
 Indices = NDArray[np.int64]
 
-#: Two cameras' detections of one vehicle lie within this, across the vehicle; along it as much more as the vehicle is
-#: longer than the reference length.
-RADIUS_M = 2.5
-REFERENCE_LENGTH_M = 4.5
+#: Of a usual car. Longer vehicles are less certain along their length.
+_REFERENCE_LENGTH_M = 4.5
 #: What errors that all views share (calibration, a bias of the network) leave at least.
 SD_FLOOR = np.array([0.15, 0.15, 0.08, 0.2, 0.08, 0.08, 0.05])
 #: Where a detection's own standard deviation is unknown.
@@ -47,7 +45,7 @@ class Fused:
         return len(self.boxes)
 
 
-def fuse(detections: Sequence[Vehicles3D]) -> Fused:
+def fuse(detections: Sequence[Vehicles3D], radius_m: float) -> Fused:
     """Cluster detections on the ground, at most one per camera in each cluster, and average each cluster.
 
     Pairs are joined nearest first while every two of a cluster stay within reach (complete linkage). Numbers are
@@ -55,6 +53,7 @@ def fuse(detections: Sequence[Vehicles3D]) -> Fused:
 
     Args:
         detections: one entry per camera, all moved to the same instant.
+        radius_m: of a cluster, see `ground_distance`.
     """
     boxes = np.concatenate([np.empty((0, 7)), *(d.boxes for d in detections)])
     sd = np.concatenate([np.empty((0, 7)), *(d.sd for d in detections)])
@@ -62,7 +61,7 @@ def fuse(detections: Sequence[Vehicles3D]) -> Fused:
     scores = np.concatenate([np.empty(0), *(d.scores for d in detections)])
     classes = np.concatenate([np.empty(0, np.int64), *(d.classes for d in detections)])
     camera = np.repeat(np.arange(len(detections)), [len(d) for d in detections])
-    clusters = _cluster(boxes, camera)
+    clusters = _cluster(boxes, camera, radius_m)
     merged = [_merge(boxes[rows], sd[rows], scores[rows], classes[rows]) for rows in clusters]
     return Fused(
         np.array([m[0] for m in merged]).reshape(-1, 7),
@@ -84,13 +83,13 @@ def ground_distance(a: Array, b: Array) -> Array:
     along = c * offset[..., 0] + s * offset[..., 1]
     across = -s * offset[..., 0] + c * offset[..., 1]
     length = np.maximum(a[:, None, LENGTH], b[None, :, LENGTH])
-    return np.hypot(along / np.maximum(1.0, length / REFERENCE_LENGTH_M), across)
+    return np.hypot(along / np.maximum(1.0, length / _REFERENCE_LENGTH_M), across)
 
 
-def _cluster(boxes: Array, camera: Indices) -> list[list[int]]:
+def _cluster(boxes: Array, camera: Indices, radius_m: float) -> list[list[int]]:
     distance = ground_distance(boxes, boxes)
     distance = np.minimum(distance, distance.T)
-    allowed = (camera[:, None] != camera) & (distance <= RADIUS_M)
+    allowed = (camera[:, None] != camera) & (distance <= radius_m)
     i, j = np.nonzero(np.triu(allowed, 1))
     members: list[list[int]] = [[k] for k in range(len(boxes))]
     for pair in np.argsort(distance[i, j], kind="stable"):

@@ -24,10 +24,6 @@ Array = NDArray[np.float64]
 #: A measurement farther off (squared Mahalanobis distance of centre and yaw) is no candidate: 99.9 % of χ² with 3
 #: degrees of freedom, doubled because the model is not the vehicle.
 _MAX_DISTANCE = 32.0
-#: A detection whose place is less certain than this (standard deviation, m) is not used: far away, near the horizon.
-_MAX_PLACE_SD_M = 3.0
-#: A track that was seen at a smaller share of the instants it lasted is a chain of false boxes.
-_MIN_SEEN_SHARE = 0.3
 #: A fused box that overlaps a track more than this and was not assigned to it is a second box of the same vehicle.
 _DUPLICATE_IOU = 0.1
 #: New vehicles may be this much faster than thought; their gate grows with it.
@@ -79,10 +75,10 @@ class Tracker:
         self._instants.append(time_ns)
         self._end_unseen(time_ns)
         expected = [candidate.at(time_ns) for candidate in self._active]
-        certain = [
-            found.where(np.flatnonzero(~(found.sd[:, XY] > _MAX_PLACE_SD_M).any(axis=1))) for found in detections
-        ]
-        fused = fuse([self._move(found, time_ns, frame_times_ns or {}, expected) for found in certain])
+        most_m = self._config.max_place_sd_m
+        certain = [found.where(np.flatnonzero(~(found.sd[:, XY] > most_m).any(axis=1))) for found in detections]
+        moved = [self._move(found, time_ns, frame_times_ns or {}, expected) for found in certain]
+        fused = fuse(moved, self._config.fusion_radius_m)
         assigned = self._assign(time_ns, fused, expected)
         for row, column in assigned.items():
             self._update(self._active[row], expected[row], time_ns, fused, column)
@@ -101,7 +97,7 @@ class Tracker:
     def _is_proven(self, candidate: _Candidate, instants: NDArray[np.int64]) -> bool:
         hits = candidate.hits
         lasted = np.searchsorted(instants, hits[-1].time_ns) - np.searchsorted(instants, hits[0].time_ns) + 1
-        return len(hits) >= max(self._config.min_hits, _MIN_SEEN_SHARE * int(lasted))
+        return len(hits) >= max(self._config.min_hits, self._config.min_seen_share * int(lasted))
 
     # --- one instant --------------------------------------------------------------------------
     def _end_unseen(self, time_ns: int) -> None:

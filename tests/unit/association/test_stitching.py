@@ -6,13 +6,14 @@ import numpy as np
 import pytest
 
 from wibam_core.association.stitching import Sightings, stitch
+from wibam_core.config import AssociateConfig
 
 PERIOD_S = 0.1
 #: x, y at a time, and when a track of that is seen, s.
 Track = tuple[Callable[[float], tuple[float, float]], float, float]
 
 
-def stitched(*tracks: Track, classes: tuple[int, ...] = (), max_speed_mps: float = 30.0) -> list[set[int]]:
+def stitched(*tracks: Track, classes: tuple[int, ...] = (), **options: float) -> list[set[int]]:
     """The ids that the sightings of each track get."""
     instants, given = [], []
     for k in range(round(max(end for _, _, end in tracks) / PERIOD_S) + 1):
@@ -27,7 +28,7 @@ def stitched(*tracks: Track, classes: tuple[int, ...] = (), max_speed_mps: float
             )
         )
         given.append(np.array(there, np.int64))
-    found = stitch(instants, given, max_speed_mps)
+    found = stitch(instants, given, AssociateConfig(**options))
     return [{int(i) for ids, own in zip(found, given, strict=True) for i in ids[own == n]} for n in range(len(tracks))]
 
 
@@ -65,6 +66,15 @@ def test_no_vehicle_is_faster_than_the_limit() -> None:
     assert stitched(*tracks, max_speed_mps=8.0) == [{0}, {1}]
 
 
+def test_how_long_a_vehicle_may_be_hidden_is_for_the_site_to_say() -> None:
+    queue = ((standing(5.0), 0, 3), (standing(5.0), 23, 26))
+    assert stitched(*queue) == [{0}, {0}]
+    assert stitched(*queue, max_hidden_standing_s=19.0) == [{0}, {1}]
+    passing = ((driving(10.0), 0, 2), (driving(10.0), 4, 6))
+    assert stitched(*passing) == [{0}, {0}]
+    assert stitched(*passing, max_hidden_moving_s=1.5) == [{0}, {1}]
+
+
 def test_tracks_seen_at_the_same_time_are_of_different_vehicles() -> None:
     assert stitched((standing(5.0), 0, 3), (standing(5.0), 2, 6)) == [{0}, {1}]
 
@@ -98,5 +108,8 @@ def test_chains_that_do_not_compete_are_matched_one_by_one() -> None:
 
 def test_instants_without_vehicles() -> None:
     nothing = Sightings(np.empty(0, np.int64), np.empty((0, 2)), np.empty(0), np.empty(0, np.int64))
-    assert [ids.tolist() for ids in stitch([nothing, nothing], [np.empty(0, np.int64)] * 2, 30.0)] == [[], []]
-    assert stitch([], [], 30.0) == []
+    assert [ids.tolist() for ids in stitch([nothing, nothing], [np.empty(0, np.int64)] * 2, AssociateConfig())] == [
+        [],
+        [],
+    ]
+    assert stitch([], [], AssociateConfig()) == []

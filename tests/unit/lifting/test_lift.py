@@ -175,6 +175,10 @@ def test_what_one_camera_alone_sees_all_the_time_is_lifted_too() -> None:
     assert np.median(np.hypot(*found["sd"][:, :2].T)) > 0.5 * np.median(off), "and says how uncertain it is"
     few = lift(alone[:4], scene.rig, LiftConfig())
     assert few.statistics["fits"] == 0, "too short to tell anything"
+    assert lift(alone[:4], scene.rig, LiftConfig(few_views_sightings=4)).statistics["fits"] > 0, "unless asked to"
+    strict = lift(alone, scene.rig, LiftConfig(few_views_sd_m=0.35))
+    assert 0 < strict.statistics["kept"] < len(found["box"]) / 2
+    assert max(np.hypot(*vehicles.sd[:, :2].T).max(initial=0.0) for vehicles in strict.vehicles) <= 0.35
 
 
 def test_a_residual_limit_leaves_fits_out() -> None:

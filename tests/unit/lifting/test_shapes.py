@@ -9,7 +9,7 @@ import torch
 
 from tests.unit.lifting.test_fit import RIG, problem, random_vehicles, template_boxes
 from wibam_core.lifting.fit import FitProblem, fit, with_bodies, with_noise
-from wibam_core.lifting.shapes import FEWEST_TRACKS, MODE_SD, MODES, Shapes, deformed, learn_shapes
+from wibam_core.lifting.shapes import MODE_SD, MODES, Shapes, deformed, learn_shapes
 from wibam_core.lifting.trajectory import Tracks
 from wibam_core.road_users import BODIES, CLASSES, RoadUserClass
 
@@ -41,7 +41,7 @@ def site(
 
 
 def learned(p: FitProblem, classes: np.ndarray, tracks: Tracks) -> Shapes:
-    return learn_shapes(p, classes, tracks, np.ones(len(p), dtype=bool), 50)
+    return learn_shapes(p, classes, tracks, np.ones(len(p), dtype=bool), iterations=50, min_tracks=5)
 
 
 def size_error(p: FitProblem, bodies: np.ndarray, classes: np.ndarray, truth: np.ndarray) -> float:
@@ -88,7 +88,7 @@ def test_vehicles_larger_than_usual_are_no_other_shape() -> None:
 
 
 def test_few_tracks_keep_the_template() -> None:
-    p, classes, tracks, _ = site(RoadUserClass.VAN, np.full(len(MODES), 0.05), vehicles=FEWEST_TRACKS - 1)
+    p, classes, tracks, _ = site(RoadUserClass.VAN, np.full(len(MODES), 0.05), vehicles=4)
     found = learned(p, classes, tracks)
     np.testing.assert_array_equal(found.bodies, BODIES)
     np.testing.assert_array_equal(found.sd, np.tile(MODE_SD, (len(CLASSES), 1)))
@@ -97,7 +97,7 @@ def test_few_tracks_keep_the_template() -> None:
 
 def test_sightings_that_cannot_be_used_are_not() -> None:
     p, classes, tracks, _ = site(RoadUserClass.CAR, np.full(len(MODES), 0.05))
-    found = learn_shapes(p, classes, tracks, np.zeros(len(p), dtype=bool), 50)
+    found = learn_shapes(p, classes, tracks, np.zeros(len(p), dtype=bool), iterations=50, min_tracks=5)
     np.testing.assert_array_equal(found.bodies, BODIES)
 
 

@@ -185,6 +185,33 @@ def test_a_flicker_of_one_instant_is_no_conflict() -> None:
     assert find_conflicts([a, b], CONFIG) == []
 
 
+@pytest.mark.parametrize(("option", "value"), [("min_instants", 12), ("min_duration_s", 1.7), ("min_track_s", 2.0)])
+def test_how_long_a_conflict_lasts_is_for_the_user_to_say(option: str, value: float) -> None:
+    rear_end = [straight(1, (0, 0), 0.0, 15, 2), straight(2, (30, 0), 0.0, 3, 2)]  # 11 instants, 1.6 s, in 1.92 s
+    (conflict,) = find_conflicts(rear_end, CONFIG)
+    assert conflict.duration_s == pytest.approx(1.6)
+    assert find_conflicts(rear_end, CONFIG.model_copy(update={option: value})) == []
+
+
+def test_how_sure_a_conflict_must_be_is_for_the_user_to_say() -> None:
+    rear_end = [straight(1, (0, 0), 0.0, 15, 2, sd=0.5), straight(2, (30, 0), 0.0, 3, 2, sd=0.5)]
+    assert find_conflicts(rear_end, CONFIG) == []
+    (conflict,) = find_conflicts(rear_end, CONFIG.model_copy(update={"min_probability": 0.3}))
+    assert 0.3 <= conflict.probability < 0.8
+
+
+def test_what_is_one_direction_and_what_overlaps_is_for_the_user_to_say() -> None:
+    side_by_side = [straight(1, (0, 0), 0.0, 15, 1.4), straight(2, (0, 8), -0.25, 15, 1.4)]
+    gentle = CONFIG.model_copy(update={"min_deceleration_mps2": 0.0})
+    (merging,) = find_conflicts(side_by_side, gentle)
+    (crossing,) = find_conflicts(side_by_side, gentle.model_copy(update={"same_direction_deg": 10.0}))
+    assert (merging.kind, crossing.kind) == (ConflictType.MERGING, ConflictType.CROSSING)
+    a = from_speed(1, (0, -40), np.pi / 2, np.r_[np.full(16, 10.0), np.linspace(10, 0, 9), np.zeros(10)])
+    b = straight(2, (-40, 0), 0.0, 10, seconds=5.5)
+    b.boxes[-1] = a.boxes[len(b) - 1] + [0.5, 0, 0, 0, 0, 0, 0]
+    assert len(find_conflicts([a, b], CONFIG.model_copy(update={"max_overlap_iou": 0.9}))) == 1
+
+
 def test_deceleration_to_avoid() -> None:
     # 10 m/s on a standing vehicle 20 m ahead: v² / (2 d) = 2.5 m/s²
     assert deceleration_to_avoid(2.0, [10.0, 0.0], [0.0, 0.0]) == pytest.approx(2.5)

@@ -189,13 +189,16 @@ def test_one_size_over_the_track_on_the_ground() -> None:
     np.testing.assert_allclose(track.boxes[:, 2], track.boxes[:, 5] / 2)
 
 
-def test_detections_with_an_unknown_place_and_chains_of_false_boxes_make_no_track() -> None:
+@pytest.mark.parametrize(("max_place_sd_m", "min_seen_share", "tracks"), [(3.0, 0.3, 0), (5.0, 0.15, 1)])
+def test_detections_with_an_unknown_place_and_chains_of_false_boxes_make_no_track_unless_options_say_so(
+    max_place_sd_m: float, min_seen_share: float, tracks: int
+) -> None:
+    config = TrackConfig(max_place_sd_m=max_place_sd_m, min_seen_share=min_seen_share)
     box = np.array([[0.0, 0, 0.75, 4.5, 1.8, 1.5, 0.0]])
-    uncertain, rare = Tracker(TrackConfig()), Tracker(TrackConfig())
+    uncertain, rare = Tracker(config), Tracker(config)
     for k in range(40):
         time = k * PERIOD_NS
         sd = np.full((1, 7), 4.0)
         uncertain.step(time, [Vehicles3D.of(time, box, sd=sd, camera_id="a")])
         rare.step(time, [Vehicles3D.of(time, box if k % 5 == 0 else box[:0], camera_id="a")])
-    assert uncertain.tracks() == []
-    assert rare.tracks() == []
+    assert len(uncertain.tracks()) == len(rare.tracks()) == tracks
