@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 from datetime import UTC, datetime
-from typing import Any, Literal
+from typing import Literal
 
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import BaseModel, ConfigDict, Field, JsonValue
 
 from wibam_core.adapters.job_store import StagePlan
-from wibam_core.adapters.results import Artifact
+from wibam_core.adapters.results import ResultFile
+from wibam_core.config import PipelineConfig
+from wibam_core.documents.recordings import VideoInfo
 from wibam_core.jobs.estimate import job_fraction, remaining_s
 from wibam_core.jobs.records import Event, Job, SiteRecord, StageRun, StoredFile
 from wibam_core.jobs.states import JobState, StageState
@@ -55,10 +57,10 @@ class RecordingOut(BaseModel):
     size_bytes: int
     sha256: str
     created_at: datetime
-    probe: dict[str, Any] | None = Field(None, description="codec, size, rate, duration, once a job has looked")
+    probe: VideoInfo | None = Field(None, description="codec, size, rate, duration, once a job has looked")
 
     @classmethod
-    def of(cls, file: StoredFile, probe: dict[str, Any] | None = None) -> RecordingOut:
+    def of(cls, file: StoredFile, probe: VideoInfo | None = None) -> RecordingOut:
         return cls(
             id=file.id,
             site_id=file.site_id,
@@ -77,7 +79,7 @@ class JobIn(BaseModel):
 
     model_config = ConfigDict(extra="forbid")
 
-    options: dict[str, Any] = Field(
+    options: dict[str, JsonValue] = Field(
         {},
         description="options by stage; what is left out has its default (`GET /v1/options`)",
         examples=[{"finetune": {"steps": 200}, "sync": {"method": "none"}}],
@@ -92,7 +94,7 @@ class RestartIn(BaseModel):
     from_stage: str | None = Field(
         None, description="make this stage and all that follow from it anew, even if their outputs are there"
     )
-    options: dict[str, Any] | None = Field(None, description="other options than before; left out: the same")
+    options: dict[str, JsonValue] | None = Field(None, description="other options than before; left out: the same")
 
 
 class PlannedStageOut(BaseModel):
@@ -121,7 +123,7 @@ class ErrorOut(BaseModel):
     code: str = Field(examples=["no_overlap"])
     message: str
     hint: str
-    details: dict[str, Any]
+    details: dict[str, JsonValue]
 
 
 class StageOut(BaseModel):
@@ -133,7 +135,7 @@ class StageOut(BaseModel):
     fraction: float = Field(ge=0, le=1)
     message: str
     figures: dict[str, float | None] = Field(description="the latest figures, e.g. a loss")
-    summary: dict[str, Any] | None = Field(description="what it says about its result")
+    summary: dict[str, JsonValue] | None = Field(description="what it says about its result")
     error: ErrorOut | None
     attempts: int
     hash: str
@@ -170,7 +172,7 @@ class JobOut(BaseModel):
     is_terminal: bool = Field(description="nothing happens any more unless the job is restarted")
     fraction: float = Field(ge=0, le=1, description="done, weighted by how long stages usually take")
     remaining_s: float | None = Field(description="how long it will still take, where enough is known")
-    options: dict[str, Any]
+    options: dict[str, dict[str, JsonValue]]
     files: list[RecordingOut]
     stages: list[StageOut] = Field(description="in the order of the pipeline")
     error: ErrorOut | None = Field(description="why it failed; `details.stage` names the stage")
@@ -208,7 +210,7 @@ class EventOut(BaseModel):
     )
     kind: Literal["job", "stage", "progress"]
     at: datetime
-    data: dict[str, Any]
+    data: dict[str, JsonValue]
 
     @classmethod
     def of(cls, event: Event) -> EventOut:
@@ -227,29 +229,28 @@ class ArtifactOut(BaseModel):
     """A file that a stage wrote."""
 
     id: str = Field(examples=["evaluate/metrics.json"])
+    artifact: str = Field(description="what it is, or is a part of", examples=["metrics"])
+    title: str = Field(examples=["How good the networks are"])
     stage: str
     name: str
+    media_type: str = Field(examples=["application/json"])
+    version: int = Field(description="of the artifact's layout")
     size_bytes: int
     sha256: str
 
     @classmethod
-    def of(cls, artifact: Artifact) -> ArtifactOut:
+    def of(cls, file: ResultFile) -> ArtifactOut:
         return cls(
-            id=artifact.id,
-            stage=artifact.stage,
-            name=artifact.name,
-            size_bytes=artifact.size_bytes,
-            sha256=artifact.sha256,
+            id=file.id,
+            artifact=file.artifact.name,
+            title=file.artifact.title,
+            stage=file.stage,
+            name=file.name,
+            media_type=file.artifact.codec.media_type,
+            version=file.artifact.version,
+            size_bytes=file.size_bytes,
+            sha256=file.sha256,
         )
-
-
-class TracksOut(BaseModel):
-    """States of tracked vehicles, sorted by time, then track."""
-
-    states: list[dict[str, Any]] = Field(
-        description="columns of the Parquet file: `time_ns`, `track_id`, `class`, pose, size, speed, deviations"
-    )
-    next: str | None = Field(description="cursor of the next page")
 
 
 class ReportLinkOut(BaseModel):
@@ -257,6 +258,13 @@ class ReportLinkOut(BaseModel):
 
     url: str = Field(examples=["/reports/job_5e4d3c2b1a098765?expires=1700000000&signature=..."])
     expires_at: datetime
+
+
+class OptionsOut(BaseModel):
+    """All options of a job."""
+
+    defaults: PipelineConfig
+    json_schema: dict[str, JsonValue] = Field(alias="schema", description="their meaning and limits as JSON Schema")
 
 
 class VersionOut(BaseModel):

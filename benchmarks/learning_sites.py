@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import tempfile
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -12,8 +11,10 @@ from typing import Any
 
 import numpy as np
 
+from wibam_core.artifacts import catalogue
+from wibam_core.artifacts.access import ArtifactReader
 from wibam_core.config import EvaluateConfig, FinetuneConfig, PipelineConfig
-from wibam_core.dataset.split import Split
+from wibam_core.documents.split import Split
 from wibam_core.evaluation.evaluate import Evaluation, Mode, evaluate
 from wibam_core.evaluation.instants import exposure_times
 from wibam_core.evaluation.labels_at import LabelTimeline
@@ -24,11 +25,8 @@ from wibam_core.evaluation.self_consistency import Agreement, agreements, roughn
 from wibam_core.evaluation.significance import significance
 from wibam_core.evaluation.summary import by_class, by_distance, by_elevation, mean_sd, summarise
 from wibam_core.evaluation.uncertainty import SdFactors
-from wibam_core.formats.annotations import read_annotations
 from wibam_core.formats.framestore import FrameStore
 from wibam_core.formats.labels import read_labels
-from wibam_core.formats.rig import read_rig
-from wibam_core.formats.vehicles3d import read_vehicles3d
 from wibam_core.geometry.box3d import XY, YAW
 from wibam_core.geometry.se3 import normalise_angle
 from wibam_core.models.stored_frames import stored_frames
@@ -84,7 +82,7 @@ class Site:
     number: int
     folder: SiteFolder
     store: StageStore
-    stages: Mapping[str, Path]
+    outputs: ArtifactReader
     rig: CameraRig
     frames: FrameStore
     instants: list[AnnotatedInstant]
@@ -144,29 +142,30 @@ def make_site(
     site, store = SiteFolder.load(folder), StageStore(folder / "outputs")
     if network is not None:
         site = replace(site, assets={**site.assets, "network": network})
-    return site_of(number, site, store, run_pipeline(site, store, PipelineConfig(), until="lift").folders)
+    return site_of(number, site, store, run_pipeline(site, store, PipelineConfig(), until="lift").outputs)
 
 
-def site_of(number: int, folder: SiteFolder, store: StageStore, stages: Mapping[str, Path]) -> Site:
+def site_of(number: int, folder: SiteFolder, store: StageStore, outputs: ArtifactReader) -> Site:
     """Read what the stages up to the fits wrote."""
     return Site(
         number,
         folder,
         store,
-        stages,
-        read_rig(stages["calibrate"] / "rig.json"),
-        FrameStore(stages["frames"]),
-        read_annotations(stages["associate"] / "annotations.parquet"),
-        read_vehicles3d(stages["lift"] / "lifts.parquet"),
-        Split.from_json(json.loads((stages["dataset"] / "split.json").read_text())),
+        outputs,
+        outputs.read(catalogue.RIG),
+        outputs.read(catalogue.FRAMES),
+        outputs.read(catalogue.ANNOTATIONS),
+        outputs.read(catalogue.FITS),
+        outputs.read(catalogue.SPLIT),
         LabelTimeline(read_labels(folder.assets["labels"])),
     )
 
 
 def fitted_by(site: Site, options: Mapping[str, Any]) -> Site:
     """The site with fits made by these options of the stage that makes them."""
-    stages = run_pipeline(site.folder, site.store, PipelineConfig.parse({"lift": dict(options)}), until="lift").folders
-    return site_of(site.number, site.folder, site.store, stages)
+    config = PipelineConfig.parse({"lift": dict(options)})
+    outputs = run_pipeline(site.folder, site.store, config, until="lift").outputs
+    return site_of(site.number, site.folder, site.store, outputs)
 
 
 def untrained(site: Site, decode: Decode) -> Trained:
@@ -177,10 +176,9 @@ def untrained(site: Site, decode: Decode) -> Trained:
 def finetuned_by_stage(site: Site, options: Mapping[str, Any], lift: Mapping[str, Any] | None = None) -> Trained:
     """Fine-tuned as a job with these options does it; taken from the store where that was done before."""
     config = PipelineConfig.parse({"finetune": dict(options), "lift": dict(lift or {})})
-    done = run_pipeline(site.folder, site.store, config, until="finetune").folders["finetune"]
-    curves = json.loads((done / "curves.json").read_text())
-    network = load_monocular(done / "weights.safetensors")
-    return Trained(network, config.finetune.decode, SdFactors(**curves["sd_factors"]))
+    done = run_pipeline(site.folder, site.store, config, until="finetune").outputs
+    network = load_monocular(done.read(catalogue.WEIGHTS))
+    return Trained(network, config.finetune.decode, SdFactors(**done.read(catalogue.CURVES).sd_factors))
 
 
 def placed(site: Site, trained: Trained, decode: Decode) -> Trained:
@@ -252,16 +250,16 @@ def figures(site: Site, trained: Trained) -> Figures:
     correct, published = evaluation(site, found), evaluation(site, found, "paper_compat")
     kinds = reliability(correct.errors, correct.sd)
     return {
-        **summarise(correct),
-        "paper_compat": {name: value for name, value in summarise(published).items() if name in METRICS},
-        "by_distance": by_distance(correct),
-        "by_elevation": by_elevation(correct),
-        "by_class": by_class(correct),
-        "significance": significance(site.baseline, correct),
+        **summarise(correct).model_dump(),
+        "paper_compat": summarise(published).model_dump(include=set(METRICS)),
+        "by_distance": [part.model_dump() for part in by_distance(correct)],
+        "by_elevation": [part.model_dump() for part in by_elevation(correct)],
+        "by_class": [part.model_dump(by_alias=True) for part in by_class(correct)],
+        "significance": {name: test.model_dump() for name, test in significance(site.baseline, correct).items()},
         "consistency": consistency(site, found),
         "sd_factors": vars(trained.factors),
         "reliability": {
-            kind: {name: of.get(name) for name in ("scale_factor", "calibration_error")} for kind, of in kinds.items()
+            kind: of.model_dump(include={"scale_factor", "calibration_error"}) for kind, of in kinds.items()
         },
     }
 
@@ -284,13 +282,13 @@ def label_figures(site: Site) -> Figures:
             ours.append(fits)
             theirs.append(boxes)
     metrics = compare(np.concatenate(ours), np.concatenate(theirs))
-    return {name: mean_sd(getattr(metrics, name)) for name in METRICS} | {"matched": sum(map(len, ours))}
+    return {name: mean_sd(getattr(metrics, name)).model_dump() for name in METRICS} | {"matched": sum(map(len, ours))}
 
 
 def consistency(site: Site, found: Sequence[Vehicles3D]) -> Figures:
     """What needs no label, of all detections, and beside the truth of every vehicle."""
     measured = self_consistency(found, site.of("test"), site.rig)
-    return {**{name: measured[name] for name in ("other_views", "roughness_m")}, "vehicles": _of_vehicles(site, found)}
+    return {**measured.model_dump(include={"other_views", "roughness_m"}), "vehicles": _of_vehicles(site, found)}
 
 
 def _of_vehicles(site: Site, found: Sequence[Vehicles3D]) -> list[dict[str, float]]:

@@ -23,16 +23,16 @@ from benchmarks.learning_options import command_of, made_rows, recording_of, sit
 from benchmarks.learning_report import caveats, save
 from benchmarks.learning_rows import Row, Run, mean_of
 from benchmarks.learning_sites import CHOSEN_ON, Figures, Site, figures, finetuned_on, label_figures, views
+from wibam_core.artifacts import catalogue
 from wibam_core.association.associate import associate
 from wibam_core.config import AssociateConfig, DatasetConfig, FinetuneConfig, LiftConfig
 from wibam_core.dataset.split import split_in_time
-from wibam_core.formats.annotations import read_annotations
 from wibam_core.geometry.camera import Camera
 from wibam_core.geometry.se3 import SE3
 from wibam_core.lifting.lift import lift
 from wibam_core.report.style import FINETUNED, TRUTH, new_figure, tidy
 from wibam_core.scene import AnnotatedInstant, CameraRig
-from wibam_core.stages.lift import as_labels, thinned
+from wibam_core.stages.lift import thinned, within_split
 
 POSES_DEG = (0.1, 0.3, 1.0)
 CLOCKS_MS = (10.0, 20.0, 60.0)
@@ -77,13 +77,13 @@ def refitted(site: Site, rig: CameraRig, detected: Sequence[AnnotatedInstant]) -
     instants = associate(detected, rig, AssociateConfig())
     split = split_in_time(instants, DatasetConfig())
     lifted = lift(thinned(instants, split, LiftConfig().rate_hz), rig, LiftConfig()).vehicles
-    return replace(site, rig=rig, instants=instants, lifts=as_labels(lifted, split), split=split)
+    return replace(site, rig=rig, instants=instants, lifts=within_split(lifted, split), split=split)
 
 
 def disturbed(site: Site, kind: str, amount: float, draw: int) -> Site:
     """The site with one draw of a disturbance."""
     rng = np.random.default_rng([site.number, draw, list(KINDS).index(kind)])
-    detected = read_annotations(site.stages["detect"] / "detections.parquet")
+    detected = site.outputs.read(catalogue.DETECTIONS)
     if kind == "pose_deg":
         return refitted(site, with_wrong_poses(site.rig, amount, rng), detected)
     return refitted(site, site.rig, with_wrong_clocks(detected, site.rig, amount, rng))

@@ -2,20 +2,66 @@
 
 from __future__ import annotations
 
-import json
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
 from tests.service import LiveApi
 from wibam_core.adapters.job_rows import StageKey
-from wibam_core.formats.tracks import write_tracks
+from wibam_core.artifacts import catalogue
+from wibam_core.artifacts.access import ArtifactWriter
+from wibam_core.artifacts.catalogue import made_by
+from wibam_core.documents.base import MeanSd
+from wibam_core.documents.conflicts import ConflictRow, Conflicts
+from wibam_core.documents.metrics import Consistency, LabelledInstants, Metrics
+from wibam_core.documents.recordings import Probe, VideoInfo
 from wibam_core.road_users import RoadUserClass
 from wibam_core.scene import Track
 
-CONFLICT = {"conflict_id": 0, "track_ids": [1, 2], "classes": ["car", "bus"], "type": "crossing", "ttc_s": 1.25,
-            "ttc_interval_s": [1.0, None], "pet_s": None}  # fmt: skip
+CONFLICT = ConflictRow(
+    conflict_id=0,
+    track_ids=(1, 2),
+    classes=("car", "bus"),
+    type="crossing",
+    time_ns=2_000_000_000,
+    x_m=20.0,
+    y_m=2.5,
+    speeds_mps=(10.0, 0.0),
+    ttc_s=1.25,
+    ttc_interval_s=(1.0, None),
+    probability=0.9,
+    pet_s=None,
+    pet_interval_s=(None, None),
+    deceleration_mps2=4.0,
+    duration_s=0.6,
+    heading_difference_deg=90.0,
+)
+METRICS = Metrics(
+    options={"min_score": 0.25},
+    labels="none",
+    labelled_instants=LabelledInstants(given=0, in_test_part=0, test_from_s=40.0, test_to_s=50.0),
+    instants=20,
+    frames=20,
+    self_consistency={
+        name: Consistency(other_views=MeanSd(mean=iou, sd=0.1), own_view=MeanSd(mean=0.8, sd=0.1), pairs=90, found=0.9)
+        for name, iou in (("baseline", 0.4), ("finetuned", 0.7))
+    },
+)
+VIDEO = VideoInfo(
+    codec="h264",
+    container="mov",
+    width_px=64,
+    height_px=36,
+    rotation_deg=0,
+    fps=25.0,
+    frames=250,
+    missing_frames=0,
+    first_ns=0,
+    last_ns=9_960_000_000,
+    duration_s=10.0,
+    largest_gap_s=0.04,
+    variable_rate=False,
+)
 
 
 def tracks() -> list[Track]:
@@ -53,19 +99,18 @@ def finished_job(api: LiveApi, recording: bytes = b"not looked at", *, onnx: boo
 
 
 def _write(stage: str, folder: Path, onnx: bool) -> None:
-    if stage == "track":
-        write_tracks(folder / "tracks.parquet", tracks())
+    writer = ArtifactWriter(stage, folder, made_by(stage))
+    if stage == "preflight":
+        writer.write(catalogue.PROBE, Probe(cameras={"cam1": VIDEO}))
     if stage == "finetune":
-        (folder / "weights.safetensors").write_bytes(bytes(range(256)) * 4)
+        writer.new_file(catalogue.WEIGHTS).write_bytes(bytes(range(256)) * 4)
         if onnx:
-            (folder / "weights.onnx").write_bytes(bytes(range(255, -1, -1)) * 3)
+            writer.new_file(catalogue.WEIGHTS_ONNX).write_bytes(bytes(range(255, -1, -1)) * 3)
+    if stage == "evaluate":
+        writer.write(catalogue.METRICS, METRICS)
+    if stage == "track":
+        writer.write(catalogue.TRACKS, tracks())
+    if stage == "safety":
+        writer.write(catalogue.CONFLICTS, Conflicts(thresholds={"ttc_s": 3.0}, conflicts=[CONFLICT]))
     if stage == "report":
-        (folder / "report.html").write_text("<h1>report</h1>")
-    documents: dict[str, tuple[str, Any]] = {
-        "preflight": ("probe.json", {"cam1": {"codec": "h264", "fps": 25.0}}),
-        "evaluate": ("metrics.json", {"baseline": {"recall": 0.5}}),
-        "safety": ("conflicts.json", {"conflicts": [CONFLICT], "thresholds": {"ttc_s": 3.0}}),
-    }
-    if stage in documents:
-        name, document = documents[stage]
-        (folder / name).write_text(json.dumps(document))
+        writer.write(catalogue.REPORT, "<h1>report</h1>")

@@ -12,6 +12,9 @@ from pydantic import BaseModel, ConfigDict, Field
 from wibam_core.errors import InvalidOption, UnknownOption
 from wibam_core.placing import Decode
 
+#: Where networks run, see `FinetuneConfig.device`.
+DeviceOption = Literal["auto", "cpu", "cuda"]
+
 
 class StageConfig(BaseModel):
     model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
@@ -145,7 +148,7 @@ class FinetuneConfig(StageConfig):
         " network says about them, the edges of their 2D boxes included; 'refined': as 'fitted', with edges of a"
         " second look at each vehicle; unless given, 'refined', or 'plane' where footprints are not learned",
     )
-    device: Literal["auto", "cpu", "cuda"] = Field(
+    device: DeviceOption = Field(
         "auto", description="where to train; 'auto': on all CUDA devices that are visible, or else on the CPU"
     )
     input_width_px: int | None = Field(

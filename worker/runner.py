@@ -141,7 +141,7 @@ class StageRunner:
             log.write(stage.name, "is made anew: its old outputs are removed")
         if self._store.find(stage.name, stage.hash) is not None:
             log.write(stage.name, f"reused: {stage.hash[:12]} is there already")
-            summary = self._store.manifest(stage.name, stage.hash)["summary"]
+            summary = self._store.manifest(stage.name, stage.hash).summary
             return self._leases.succeed(claim, summary, lambda: None, reused=True)
         attempt = self._store.begin(stage.name, stage.hash)
         try:
@@ -235,23 +235,13 @@ class StageRunner:
             )
 
     def _request(self, job: Job, stage: StageRun, attempt: Attempt) -> StageRequest:
-        spec = STAGES[stage.name]
-        config = PipelineConfig.parse(job.options)
-        assets = spec.assets_read(config)
         upstream: dict[str, Path] = {}
-        for name in spec.requires:
+        for name in STAGES[stage.name].requires:
             required = job.stage(name)
             folder = self._store.find(name, required.hash) if required is not None else None
             if folder is None:
                 raise StageError(f"the outputs of the stage {name} are gone", hint=f"Restart the job from {name}.")
             upstream[name] = folder
-        return StageRequest(
-            stage=stage.name,
-            site=job.site,
-            config=config,
-            recordings={camera: self._folder.file(file) for camera, file in job.recordings.items()},
-            assets={name: self._folder.file(file) for name, file in job.assets.items() if name in assets},
-            upstream=upstream,
-            output=attempt.output,
-            scratch=attempt.scratch,
-        )
+        recordings = {camera: self._folder.file(file) for camera, file in job.recordings.items()}
+        assets = {name: self._folder.file(file) for name, file in job.assets.items()}
+        return StageRequest.of(attempt, job.site, PipelineConfig.parse(job.options), recordings, assets, upstream)

@@ -17,10 +17,10 @@ from starlette.responses import FileResponse, JSONResponse, Response, StreamingR
 
 from api.parameters import ONLY_KNOWN_PARAMETERS
 from api.problems import documented
-from api.schemas import ArtifactOut, ReportLinkOut, TracksOut
+from api.schemas import ArtifactOut, ReportLinkOut
 from api.security import ReportLinks
 from api.services import Services, ServicesDep
-from wibam_core.adapters.results import Artifact, conflicts_csv
+from wibam_core.adapters.results import ResultFile, conflicts_csv
 from wibam_core.adapters.track_query import (
     TrackQuery,
     cursor_of,
@@ -29,6 +29,10 @@ from wibam_core.adapters.track_query import (
     parse_polygon,
     query_tracks,
 )
+from wibam_core.artifacts import catalogue
+from wibam_core.documents.conflicts import Conflicts
+from wibam_core.documents.metrics import Metrics
+from wibam_core.documents.tracks import TrackPage
 from wibam_core.jobs.records import Job
 from wibam_core.road_users import RoadUserClass
 
@@ -47,9 +51,9 @@ _REPORT_HEADERS = {
 
 
 @router.get("/metrics", summary="How good the model is")
-def metrics(job_id: str, services: ServicesDep) -> JSONResponse:
-    """Baseline and fine-tuned, both evaluators (`evaluate/metrics.json`)."""
-    return JSONResponse(services.results.document(services.jobs.job(job_id), "evaluate", "metrics.json"))
+def metrics(job_id: str, services: ServicesDep) -> Metrics:
+    """Baseline and fine-tuned, both evaluators."""
+    return services.results.read(services.jobs.job(job_id), catalogue.METRICS)
 
 
 @router.get(
@@ -62,11 +66,11 @@ def metrics(job_id: str, services: ServicesDep) -> JSONResponse:
 def model(job_id: str, services: ServicesDep, format: Literal["safetensors", "onnx"] = "safetensors") -> FileResponse:
     """safetensors or ONNX. The headers tell the job, the address of the stage's outputs, and the SHA-256."""
     job = services.jobs.job(job_id)
-    artifact = services.results.artifact(job, "finetune", f"weights.{format}")
-    stage = job.stage("finetune")
+    file = services.results.file(job, catalogue.WEIGHTS_ONNX if format == "onnx" else catalogue.WEIGHTS)
+    stage = job.stage(file.stage)
     assert stage is not None
     extra = {"X-Wibam-Job": job.id, "X-Wibam-Site": job.site_id, "X-Wibam-Stage-Hash": stage.hash}
-    return _download(artifact, f"{job.id}.{format}", extra)
+    return _download(file, f"{job.id}.{format}", extra)
 
 
 @router.get(
@@ -75,7 +79,7 @@ def model(job_id: str, services: ServicesDep, format: Literal["safetensors", "on
     dependencies=[ONLY_KNOWN_PARAMETERS],
     responses={
         200: {
-            "model": TracksOut,
+            "model": TrackPage,
             "content": {"text/csv": {}, "application/vnd.apache.parquet": {}},
             "description": "JSON in pages; CSV and Parquet whole, unless a limit is given",
         },
@@ -112,7 +116,7 @@ def tracks(
         limit=page,
     )
     job = services.jobs.job(job_id)
-    path = services.results.artifact(job, "track", "tracks.parquet").path
+    path = services.results.file(job, catalogue.TRACKS).path
     if format == "json":
         return JSONResponse(_page(path, query))
     name = f"{job.id}-tracks.{format}"
@@ -126,28 +130,28 @@ def tracks(
     "/conflicts",
     summary="Conflicts between road users",
     dependencies=[ONLY_KNOWN_PARAMETERS],
-    responses={200: {"content": {"application/json": {}, "text/csv": {}}}},
+    responses={200: {"model": Conflicts, "content": {"text/csv": {}}}},
 )
 def conflicts(job_id: str, services: ServicesDep, format: Literal["json", "csv"] = "json") -> Response:
     """Pairs of vehicles whose time to collision or post-encroachment time fell below the thresholds, with intervals."""
     job = services.jobs.job(job_id)
-    document = services.results.document(job, "safety", "conflicts.json")
+    document = services.results.read(job, catalogue.CONFLICTS)
     if format == "json":
-        return JSONResponse(document)
+        return Response(document.model_dump_json(), media_type="application/json")
     headers = {"Content-Disposition": f'attachment; filename="{job.id}-conflicts.csv"'}
     return StreamingResponse(conflicts_csv(document), media_type="text/csv; charset=utf-8", headers=headers)
 
 
 @router.get("/artifacts", summary="List the files of a job")
 def artifacts(job_id: str, services: ServicesDep) -> list[ArtifactOut]:
-    """Everything that its finished stages wrote, but for single frames."""
-    return [ArtifactOut.of(artifact) for artifact in services.results.artifacts(services.jobs.job(job_id))]
+    """Everything that its finished stages wrote."""
+    return [ArtifactOut.of(file) for file in services.results.files(services.jobs.job(job_id))]
 
 
 @router.get("/artifacts/{stage}/{name:path}", summary="Download a file of a job", response_class=FileResponse)
 def artifact(job_id: str, stage: str, name: str, services: ServicesDep) -> FileResponse:
     """By its id, `<stage>/<name>`. Ranges are served."""
-    found = services.results.artifact(services.jobs.job(job_id), stage, name)
+    found = services.results.named(services.jobs.job(job_id), stage, name)
     return _download(found, f"{job_id}-{found.path.name}")
 
 
@@ -162,7 +166,7 @@ def report(job_id: str, services: ServicesDep) -> FileResponse:
 @router.get("/report-link", summary="A link to the report for a browser")
 def report_link(job_id: str, services: ServicesDep) -> ReportLinkOut:
     """Works without a token, for ten minutes, for this one report."""
-    services.results.artifact(services.jobs.job(job_id), "report", "report.html")
+    services.results.file(services.jobs.job(job_id), catalogue.REPORT)
     expires, signature = _links(services).sign(job_id)
     return ReportLinkOut(
         url=f"/reports/{job_id}?expires={expires}&signature={signature}",
@@ -187,20 +191,20 @@ def _links(services: Services) -> ReportLinks:
 
 
 def _report(services: Services, job: Job) -> FileResponse:
-    path = services.results.artifact(job, "report", "report.html").path
+    path = services.results.file(job, catalogue.REPORT).path
     return FileResponse(path, media_type="text/html; charset=utf-8", headers=_REPORT_HEADERS)
 
 
-def _download(artifact: Artifact, filename: str, extra: dict[str, str] | None = None) -> FileResponse:
-    digest = base64.b64encode(bytes.fromhex(artifact.sha256)).decode()
+def _download(file: ResultFile, filename: str, extra: dict[str, str] | None = None) -> FileResponse:
+    digest = base64.b64encode(bytes.fromhex(file.sha256)).decode()
     headers = {
-        "ETag": f'"{artifact.sha256}"',
+        "ETag": f'"{file.sha256}"',
         "Repr-Digest": f"sha-256=:{digest}:",
         "X-Content-Type-Options": "nosniff",
         "Content-Security-Policy": "sandbox",
         **(extra or {}),
     }
-    return FileResponse(artifact.path, media_type="application/octet-stream", filename=filename, headers=headers)
+    return FileResponse(file.path, media_type=file.artifact.codec.media_type, filename=filename, headers=headers)
 
 
 def _page(path: Path, query: TrackQuery) -> dict[str, Any]:

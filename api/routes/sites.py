@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-import json
-from typing import Any
-
 from fastapi import APIRouter
 
 from api.problems import documented
 from api.schemas import RecordingOut, SiteOut
 from api.services import Services, ServicesDep
+from wibam_core.artifacts import catalogue
+from wibam_core.documents.recordings import VideoInfo
 from wibam_core.errors import WibamError
 from wibam_core.jobs.records import Purpose
 from wibam_core.site import Site
@@ -70,13 +69,13 @@ def delete_recording(site_id: str, file_id: str, services: ServicesDep) -> None:
     services.sites.retire_file(site_id, file_id)
 
 
-def _probes(services: Services, site_id: str) -> dict[str, dict[str, Any]]:
+def _probes(services: Services, site_id: str) -> dict[str, VideoInfo]:
     """File id -> what the preflight stage of the site's latest jobs found out about it."""
-    found: dict[str, dict[str, Any]] = {}
+    found: dict[str, VideoInfo] = {}
     for job in reversed(services.jobs.jobs(site_id, limit=5)):
         try:
-            probe = services.results.document(job, "preflight", "probe.json")
-        except (WibamError, json.JSONDecodeError):
+            cameras = services.results.read(job, catalogue.PROBE).cameras
+        except WibamError:
             continue
-        found |= {file.id: probe[camera] for camera, file in job.recordings.items() if camera in probe}
+        found |= {file.id: cameras[camera] for camera, file in job.recordings.items() if camera in cameras}
     return found

@@ -2,12 +2,10 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 from fastapi import APIRouter
 
 from api.problems import documented
-from api.schemas import HealthOut, VersionOut
+from api.schemas import HealthOut, OptionsOut, VersionOut
 from api.services import ServicesDep
 from wibam_core import __version__
 from wibam_core.config import PipelineConfig
@@ -36,6 +34,6 @@ def version() -> VersionOut:
 
 
 @options_router.get("/options", summary="All options of a job", responses=documented(401))
-def options() -> dict[str, Any]:
-    """``defaults``: every option by stage; ``schema``: their meaning and limits as JSON Schema."""
-    return {"defaults": PipelineConfig().model_dump(), "schema": PipelineConfig.model_json_schema()}
+def options() -> OptionsOut:
+    """Their defaults by stage, and their meaning and limits."""
+    return OptionsOut(defaults=PipelineConfig(), schema=PipelineConfig.model_json_schema())

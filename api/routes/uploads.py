@@ -60,6 +60,7 @@ def options(response: Response) -> None:
 @router.post(
     "",
     status_code=201,
+    response_class=Response,  # no body
     summary="Begin an upload",
     responses=documented(401, 404, 412, 413, 422, 507),
 )
@@ -84,7 +85,9 @@ def create(
     response.headers["Upload-Expires"] = _expires(upload)
 
 
-@router.head("/{upload_id}", summary="Where does an upload stand?", responses=documented(404, 410))
+@router.head(
+    "/{upload_id}", response_class=Response, summary="Where does an upload stand?", responses=documented(404, 410)
+)
 def head(upload_id: str, services: ServicesDep, response: Response, tus_resumable: TusVersion = "") -> None:
     """`Upload-Offset` bytes are safely on the service's disk."""
     _check_version(tus_resumable)

@@ -4,26 +4,33 @@ from __future__ import annotations
 
 import csv
 import io
-import json
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
+from pydantic import ValidationError
+
+from wibam_core.artifacts.access import ArtifactReader
+from wibam_core.artifacts.artifact import Artifact
+from wibam_core.artifacts.catalogue import made_by
+from wibam_core.documents.conflicts import ConflictRow, Conflicts
+from wibam_core.documents.manifest import FileFacts
 from wibam_core.errors import Conflict, NotFound
 from wibam_core.jobs.records import Job
 from wibam_core.stages.store import StageStore
 
-_LISTED_STAGE_FILES = 200  # a stage with more files than this is a store of frames, not a list of results
+T = TypeVar("T")
 
 
 @dataclass(frozen=True)
-class Artifact:
-    """A file that a stage of the job wrote. ``id`` is ``<stage>/<name>``."""
+class ResultFile:
+    """A file that a stage of a job wrote. ``id`` is ``<stage>/<name>``; ``artifact`` is what it is, or is a part of."""
 
     id: str
     stage: str
     name: str
+    artifact: Artifact[Any]
     size_bytes: int
     sha256: str
     path: Path
@@ -35,18 +42,16 @@ class JobResults:
     def __init__(self, stages: Path) -> None:
         self._store = StageStore(stages)
 
-    def artifacts(self, job: Job) -> list[Artifact]:
-        """All files of all finished stages, but for the frame store."""
-        found: list[Artifact] = []
+    def files(self, job: Job) -> list[ResultFile]:
+        """All files of all finished stages."""
+        found: list[ResultFile] = []
         for stage in job.stages:
             if stage.state.has_outputs and self._store.find(stage.name, stage.hash) is not None:
-                files = self._files(stage.name, stage.hash)
-                if len(files) <= _LISTED_STAGE_FILES:
-                    found += [self._artifact(stage.name, stage.hash, name, files[name]) for name in sorted(files)]
+                found += self._files(stage.name, stage.hash).values()
         return found
 
-    def artifact(self, job: Job, stage_name: str, name: str) -> Artifact:
-        """One file.
+    def named(self, job: Job, stage_name: str, name: str) -> ResultFile:
+        """One file by its name.
 
         Raises:
             NotFound: the job has no such stage, or the stage wrote no such file.
@@ -71,28 +76,52 @@ class JobResults:
                 f"the stage {stage_name} of job {job.id} wrote no {name!r}",
                 hint=f"GET /v1/jobs/{job.id}/artifacts lists all files.",
             )
-        return self._artifact(stage_name, stage.hash, name, files[name])
+        return files[name]
 
-    def document(self, job: Job, stage_name: str, name: str) -> Any:
-        """A JSON file of a stage. Raises as `artifact` does."""
-        return json.loads(self.artifact(job, stage_name, name).path.read_bytes())
+    def file(self, job: Job, artifact: Artifact[Any]) -> ResultFile:
+        """The file of an artifact. Raises as `named` does."""
+        return self.named(job, artifact.stage, artifact.file)
 
-    def _files(self, stage: str, digest: str) -> Mapping[str, Mapping[str, Any]]:
-        files: Mapping[str, Mapping[str, Any]] = self._store.manifest(stage, digest)["files"]
-        return files
+    def read(self, job: Job, artifact: Artifact[T]) -> T:
+        """The value of an artifact.
 
-    def _artifact(self, stage: str, digest: str, name: str, facts: Mapping[str, Any]) -> Artifact:
+        Raises:
+            NotFound: as `named` does.
+            Conflict: as `named` does, or another version made it and it looked otherwise then.
+        """
+        folder = self.file(job, artifact).path.parent
+        try:
+            return ArtifactReader({artifact.stage: folder}).read(artifact)
+        except ValidationError as error:
+            raise Conflict(
+                f"{artifact.file} of job {job.id} was made by another version, which wrote it otherwise",
+                hint="Restart the job: what has changed is made anew.",
+                stage=artifact.stage,
+            ) from error
+
+    def _files(self, stage: str, digest: str) -> dict[str, ResultFile]:
+        """The files of a published stage by name; those that are no part of an artifact are nobody's business."""
         folder = self._store.find(stage, digest)
         assert folder is not None
-        return Artifact(f"{stage}/{name}", stage, name, int(facts["bytes"]), str(facts["sha256"]), folder / name)
+        facts = self._store.manifest(stage, digest).files
+        artifacts = {artifact.file: artifact for artifact in made_by(stage)}
+        return {
+            name: _result_file(artifact, name, facts[name], folder)
+            for name in sorted(facts)
+            if (artifact := artifacts.get(name.partition("/")[0])) is not None
+        }
 
 
-def conflicts_csv(document: Mapping[str, Any]) -> Iterator[str]:
-    """``conflicts.json`` as CSV: pairs become two columns each, intervals ``_low`` and ``_high``."""
-    rows = [_flat(conflict) for conflict in document["conflicts"]]
-    columns = list(dict.fromkeys(name for row in rows for name in row))
+def _result_file(artifact: Artifact[Any], name: str, facts: FileFacts, folder: Path) -> ResultFile:
+    stage = artifact.stage
+    return ResultFile(f"{stage}/{name}", stage, name, artifact, facts.bytes, facts.sha256, folder / name)
+
+
+def conflicts_csv(document: Conflicts) -> Iterator[str]:
+    """Conflicts as CSV: pairs become two columns each, intervals ``_low`` and ``_high``."""
+    rows = [_flat(conflict) for conflict in document.conflicts]
     buffer = io.StringIO()
-    writer = csv.DictWriter(buffer, columns)
+    writer = csv.DictWriter(buffer, list(rows[0]) if rows else list(ConflictRow.model_fields))
     writer.writeheader()
     for row in rows:
         writer.writerow(row)
@@ -102,10 +131,10 @@ def conflicts_csv(document: Mapping[str, Any]) -> Iterator[str]:
     yield buffer.getvalue()
 
 
-def _flat(conflict: Mapping[str, Any]) -> dict[str, Any]:
+def _flat(conflict: ConflictRow) -> Mapping[str, Any]:
     row: dict[str, Any] = {}
-    for name, value in conflict.items():
-        if isinstance(value, list) and len(value) == 2:
+    for name, value in conflict.model_dump().items():
+        if isinstance(value, tuple):
             ends = ("low", "high") if "interval" in name else ("1", "2")
             row |= {f"{name}_{end}": item for end, item in zip(ends, value, strict=True)}
         else:

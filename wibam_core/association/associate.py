@@ -9,7 +9,6 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Any
 
 import numpy as np
 
@@ -19,6 +18,7 @@ from wibam_core.association.rays import POINT_SD_M, ground_covariances, ground_p
 from wibam_core.association.stitching import Sightings, stitch
 from wibam_core.association.tracklets import tracklets
 from wibam_core.config import AssociateConfig
+from wibam_core.documents.statistics import AssociationStatistics
 from wibam_core.errors import NoMultiViewVehicles, NoVehicles
 from wibam_core.progress import Progress, part, silent
 from wibam_core.road_users import CLASSES
@@ -101,26 +101,22 @@ def associate(
     return annotated
 
 
-def association_statistics(instants: Sequence[AnnotatedInstant]) -> dict[str, Any]:
-    """Counts for a person and the report, JSON types only.
-
-    ``by_views`` counts multi-view vehicles (at instants) by number of views; ``unassociated_share`` is the share of
-    boxes that share a vehicle with no other camera's box; ``tracks`` counts vehicles linked over time.
-    """
+def association_statistics(instants: Sequence[AnnotatedInstant]) -> AssociationStatistics:
+    """Counts for a person and the report."""
     vehicles = [vehicle for instant in instants for vehicle in instant.vehicles]
     views = Counter(len(vehicle.views) for vehicle in vehicles)
     boxes = sum(len(d) for instant in instants for d in instant.detections.values())
     associated = sum(n * count for n, count in views.items() if n > 1)
-    return {
-        "instants": len(instants),
-        "boxes": boxes,
-        "vehicles": sum(count for n, count in views.items() if n > 1),
-        "by_views": {str(n): views[n] for n in sorted(views) if n > 1},
-        "single_view": views.get(1, 0),
-        "unassociated_share": 1.0 - associated / boxes if boxes else 0.0,
-        "tracks": len({vehicle.track_id for vehicle in vehicles if vehicle.track_id >= 0}),
-        "most_vehicles_at_once": max((len(instant.vehicles) for instant in instants), default=0),
-    }
+    return AssociationStatistics(
+        instants=len(instants),
+        boxes=boxes,
+        vehicles=sum(count for n, count in views.items() if n > 1),
+        by_views={str(n): views[n] for n in sorted(views) if n > 1},
+        single_view=views.get(1, 0),
+        unassociated_share=1.0 - associated / boxes if boxes else 0.0,
+        tracks=len({vehicle.track_id for vehicle in vehicles if vehicle.track_id >= 0}),
+        most_vehicles_at_once=max((len(instant.vehicles) for instant in instants), default=0),
+    )
 
 
 def _instant_rays(instant: AnnotatedInstant, rig: CameraRig, range_m: float) -> _Rays:

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from wibam_core.calibration.matrices import visible_ground
+from wibam_core.documents.base import finite
+from wibam_core.documents.calibration import CameraResiduals, PointResidual, Zone
 from wibam_core.geometry.camera import Camera
 from wibam_core.geometry.ground import intersect_plane
 
@@ -64,39 +65,35 @@ class Residuals:
         """Median reprojection error of all points; None without points."""
         return _median(self.error_px)
 
-    def document(self) -> dict[str, Any]:
-        """As JSON types: the camera's figures, one entry per point, and one per zone of `ZONES_M`.
-
-        A zone's ``m_per_px`` is how far a ground point there moves when its pixel is one off, at worst over
-        directions in the image and at the median over the zone; None where the camera sees no ground in it.
-        """
+    def document(self) -> CameraResiduals:
+        """The camera's figures, one entry per point, and one per zone of `ZONES_M`."""
         rms = float(np.sqrt(np.nanmean(self.error_px**2))) if len(self.error_px) else None
-        return {
-            "kind": self.kind,
-            "position_m": self.camera.centre_m.tolist(),
-            "focal_px": [float(self.camera.K[0, 0]), float(self.camera.K[1, 1])],
-            "points": len(self.world),
-            "rejected": int((~self.used).sum()),
-            "median_px": self.median_px,
-            "rms_px": rms,
-            "max_px": float(np.nanmax(self.error_px)) if len(self.error_px) else None,
-            "median_m": _median(self.error_m),
-            "zones": self._zones(),
-            "residuals": [
-                {
-                    "world": world.tolist(),
-                    "pixel": pixel.tolist(),
-                    "used": bool(used),
-                    "error_px": _number(error_px),
-                    "error_m": _number(error_m),
-                }
+        return CameraResiduals(
+            kind=self.kind,
+            position_m=self.camera.centre_m.tolist(),
+            focal_px=[float(self.camera.K[0, 0]), float(self.camera.K[1, 1])],
+            points=len(self.world),
+            rejected=int((~self.used).sum()),
+            median_px=self.median_px,
+            rms_px=rms,
+            max_px=float(np.nanmax(self.error_px)) if len(self.error_px) else None,
+            median_m=_median(self.error_m),
+            zones=self._zones(),
+            residuals=[
+                PointResidual(
+                    world=world.tolist(),
+                    pixel=pixel.tolist(),
+                    used=bool(used),
+                    error_px=finite(error_px),
+                    error_m=finite(error_m),
+                )
                 for world, pixel, used, error_px, error_m in zip(
                     self.world, self.pixels, self.used, self.error_px, self.error_m, strict=True
                 )
             ],
-        }
+        )
 
-    def _zones(self) -> list[dict[str, Any]]:
+    def _zones(self) -> list[Zone]:
         centre = self.camera.centre_m[:2]
         distance = np.linalg.norm(self.world[:, :2] - centre, axis=1)
         ground = visible_ground(self.camera)
@@ -107,14 +104,14 @@ class Residuals:
             here = (distance >= low) & (distance < high)
             seen = (ground_distance >= low) & (ground_distance < high)
             zones.append(
-                {
-                    "from_m": low,
-                    "to_m": high,
-                    "points": int(here.sum()),
-                    "median_px": _median(self.error_px[here]),
-                    "median_m": _median(self.error_m[here]),
-                    "m_per_px": _median(per_px[seen]),
-                }
+                Zone(
+                    from_m=low,
+                    to_m=high,
+                    points=int(here.sum()),
+                    median_px=_median(self.error_px[here]),
+                    median_m=_median(self.error_m[here]),
+                    m_per_px=_median(per_px[seen]),
+                )
             )
         return zones
 
@@ -131,9 +128,5 @@ def metres_per_pixel(camera: Camera, ground: Array) -> Array:
 
 
 def _median(values: Array) -> float | None:
-    finite = values[np.isfinite(values)]
-    return float(np.median(finite)) if len(finite) else None
-
-
-def _number(value: float) -> float | None:
-    return float(value) if np.isfinite(value) else None
+    known = values[np.isfinite(values)]
+    return float(np.median(known)) if len(known) else None

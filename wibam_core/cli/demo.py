@@ -2,31 +2,33 @@
 
 from __future__ import annotations
 
-import json
 import shutil
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated, Any, TypeVar
 
 import typer
 from rich.console import Console
 from rich.markup import escape
 from rich.progress import Progress, TimeElapsedColumn
 
+from wibam_core.artifacts.artifact import Artifact
+from wibam_core.artifacts.catalogue import CONFLICTS, METRICS, TRACKS
 from wibam_core.cli.embedded import LOCK, EmbeddedService, exclusive
 from wibam_core.cli.run import parse_options
 from wibam_core.cli.service import watch
-from wibam_core.cli.tables import print_tables
+from wibam_core.cli.tables import RESULTS, print_tables
 from wibam_core.cli.upload import send_site
-from wibam_core.client import JobView, WibamClient
+from wibam_core.client import WibamClient
 from wibam_core.errors import Conflict
-from wibam_core.formats.tracks import read_tracks
 from wibam_core.report.summary import summary
 from wibam_core.stages.runner import SiteFolder
 from wibam_core.synthetic.options import SimulationOptions
 from wibam_core.synthetic.recorder import record_site
+
+T = TypeVar("T")
 
 #: Options that fit the whole thread into minutes on two cores; the service's own defaults are for real footage.
 _QUICK: dict[str, dict[str, Any]] = {"finetune": {"steps": 350}, "track": {"rate_hz": 5.0}}
@@ -58,25 +60,25 @@ def demo(
             site_id = send_site(client, SiteFolder.load(out / "site"), console)
         console.print("4. Fine-tuning without one hand label", highlight=False)
         job = watch(client, client.create_job(site_id, options).id, console, service.check)
-        _fetch(client, job, out)
-    metrics = json.loads((out / "metrics.json").read_bytes())
-    conflicts = json.loads((out / "conflicts.json").read_bytes())
-    tracks = read_tracks(out / "tracks.parquet")
+        for artifact in _FETCHED:
+            client.download_artifact(job.id, artifact.id, out / artifact.file)
+    metrics, tracks, conflicts = _read(out, METRICS), _read(out, TRACKS), _read(out, CONFLICTS)
     print_tables(console, metrics, tracks, conflicts)
-    paths = {name: out / file for name, file in _FILES.items()}
+    paths = {artifact.name: out / artifact.file for artifact in RESULTS}
     spent |= {stage.name: stage.seconds or 0.0 for stage in job.stages}
-    result = summary(metrics, spent, len(tracks), len(conflicts["conflicts"]), paths)
-    (out / _SUMMARY).write_text(json.dumps(result, indent=1), encoding="utf-8")
+    result = summary(metrics, spent, len(tracks), len(conflicts.conflicts), paths)
+    (out / _SUMMARY).write_text(result.model_dump_json(indent=1), encoding="utf-8")
     for name, path in [*paths.items(), ("summary", out / _SUMMARY)]:
         console.print(f"{name:<8} {escape(str(path))}", highlight=False, soft_wrap=True)
     console.print(f"[dim]{sum(spent.values()):.0f} s in all[/]", highlight=False)
 
 
-_FILES = {"weights": "weights.safetensors", "tracks": "tracks.parquet", "report": "report.html"}
+#: What a demo takes from the service.
+_FETCHED: tuple[Artifact[Any], ...] = (*RESULTS, METRICS, CONFLICTS)
 _SUMMARY = "summary.json"
 _MARKER = ".wibam-demo"
 #: All that a demo writes, beside the marker that says so, and all that the next one removes.
-_WRITTEN = ("site", "data", *_FILES.values(), "metrics.json", "conflicts.json", _SUMMARY)
+_WRITTEN = ("site", "data", *(artifact.file for artifact in _FETCHED), _SUMMARY)
 
 
 def _make_room(out: Path) -> None:
@@ -117,12 +119,8 @@ def _record(folder: Path, options: SimulationOptions, console: Console) -> None:
         record_site(folder, options, show)
 
 
-def _fetch(client: WibamClient, job: JobView, out: Path) -> None:
-    client.download_model(job.id, out / _FILES["weights"])
-    client.download_tracks(job.id, out / _FILES["tracks"])
-    client.download_report(job.id, out / _FILES["report"])
-    (out / "metrics.json").write_text(json.dumps(client.metrics(job.id), indent=1), encoding="utf-8")
-    (out / "conflicts.json").write_text(json.dumps(client.conflicts(job.id), indent=1), encoding="utf-8")
+def _read(out: Path, artifact: Artifact[T]) -> T:
+    return artifact.codec.read(out / artifact.file)
 
 
 @contextmanager

@@ -14,9 +14,10 @@ from rich.table import Table
 
 from wibam_core.detection.boxes import Found
 from wibam_core.detection.detector import BUNDLED, load_detector
+from wibam_core.documents.recordings import VideoInfo
 from wibam_core.road_users import CLASSES
 from wibam_core.video.decode import frames_nearest
-from wibam_core.video.probe import VideoInfo, probe
+from wibam_core.video.probe import probe
 from wibam_core.video.sampling import Span, multiples_within
 
 

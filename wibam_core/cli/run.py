@@ -8,7 +8,9 @@ from typing import Annotated, Any
 
 import typer
 from rich.console import Console
+from rich.markup import escape
 
+from wibam_core.artifacts.catalogue import made_by
 from wibam_core.cli.display import StageDisplay
 from wibam_core.config import PipelineConfig
 from wibam_core.errors import InvalidOption
@@ -72,11 +74,15 @@ def run(
             display.update(update.stage, update.state, update.fraction, update.message, update.figures, update.seconds)
 
         result = run_pipeline(folder, store, config, show, until=until)
-    if "report" in result.folders:
+    if "report" in result.summaries:
         from wibam_core.cli.tables import print_results
 
-        print_results(console, result.folders)
+        print_results(console, result.outputs)
     else:
-        last = list(result.folders)[-1]
+        last = list(result.summaries)[-1]
         console.print_json(data=result.summaries[last])
-        console.print(f"[dim]{result.folders[last]}[/]", highlight=False)
+        for artifact in made_by(last):
+            if result.outputs.has(artifact):
+                console.print(
+                    f"[dim]{artifact.title}: {escape(str(result.outputs.local(artifact)))}[/]", highlight=False
+                )

@@ -14,7 +14,7 @@ from rich.table import Table
 from wibam_core.errors import InputError, NoSignalChange
 from wibam_core.site import SignalRegion
 from wibam_core.sync.changes import detect_changes
-from wibam_core.sync.document import change_document
+from wibam_core.sync.document import seen_change
 from wibam_core.video.decode import decode
 
 
@@ -32,7 +32,7 @@ def signals(
     found = [c for c in detect_changes(decode(video), video.stem, heads) if c.confidence >= min_confidence]
     console = Console()
     if as_json:
-        console.print_json(json.dumps([change_document(change) for change in found]))
+        console.print_json(json.dumps([seen_change(change).model_dump(exclude_none=True) for change in found]))
         return
     if not found:
         raise NoSignalChange(f"no signal change was seen in {video.name}")

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -12,9 +11,13 @@ from rich.console import Console
 from rich.markup import escape
 from rich.table import Table
 
-from wibam_core.formats.tracks import read_tracks
+from wibam_core.artifacts import catalogue
+from wibam_core.artifacts.access import ArtifactReader
+from wibam_core.artifacts.artifact import Artifact
+from wibam_core.documents.base import MeanSd
+from wibam_core.documents.conflicts import ConflictRow, Conflicts
+from wibam_core.documents.metrics import DetectorFigures, Metrics, Significance
 from wibam_core.report.advice import test_part
-from wibam_core.report.inputs import ConflictRow, Conflicts, DetectorFigures, MeanSd, Metrics, Significance
 from wibam_core.report.results import NETWORKS, compared
 from wibam_core.scene import Track
 
@@ -29,47 +32,43 @@ _COLUMNS = (
 _SIGNIFICANT = 0.01
 
 
-def print_results(console: Console, folders: Mapping[str, Path]) -> None:
+def print_results(console: Console, outputs: ArtifactReader) -> None:
     """Print what a finished pipeline found and where its files lie.
 
     Args:
         console: where to.
-        folders: stage -> its published folder.
+        outputs: of all its stages.
     """
-    metrics = json.loads((folders["evaluate"] / "metrics.json").read_bytes())
-    conflicts = json.loads((folders["safety"] / "conflicts.json").read_bytes())
-    print_tables(console, metrics, read_tracks(folders["track"] / "tracks.parquet"), conflicts)
-    for name, path in result_paths(folders).items():
+    tracks = outputs.read(catalogue.TRACKS)
+    print_tables(console, outputs.read(catalogue.METRICS), tracks, outputs.read(catalogue.CONFLICTS))
+    for name, path in result_paths(outputs).items():
         console.print(f"{name:<8} {escape(str(path))}", highlight=False, soft_wrap=True)
 
 
-def result_paths(folders: Mapping[str, Path]) -> dict[str, Path]:
-    """The files that a person wants, by stage folder: "weights", "tracks" and "report"."""
-    return {
-        "weights": folders["finetune"] / "weights.safetensors",
-        "tracks": folders["track"] / "tracks.parquet",
-        "report": folders["report"] / "report.html",
-    }
+#: The files that a person wants.
+RESULTS: tuple[Artifact[Any], ...] = (catalogue.WEIGHTS, catalogue.TRACKS, catalogue.REPORT)
 
 
-def print_tables(
-    console: Console, metrics: Mapping[str, Any], tracks: Sequence[Track], conflicts: Mapping[str, Any]
-) -> None:
+def result_paths(outputs: ArtifactReader) -> dict[str, Path]:
+    """Where the files lie that a person wants, by the names of `RESULTS`."""
+    return {artifact.name: outputs.local(artifact) for artifact in RESULTS}
+
+
+def print_tables(console: Console, metrics: Metrics, tracks: Sequence[Track], conflicts: Conflicts) -> None:
     """Print the before/after table by both evaluators, the first tracks and the first conflicts.
 
     Args:
         console: where to.
-        metrics: the contents of ``metrics.json``.
+        metrics: of both networks.
         tracks: all of them.
-        conflicts: the contents of ``conflicts.json``.
+        conflicts: all of them.
     """
-    figures = Metrics.model_validate(metrics)
-    console.print(before_after_table(figures))
-    published = published_table(figures)
+    console.print(before_after_table(metrics))
+    published = published_table(metrics)
     if published is not None:
         console.print(published)
     console.print(tracks_table(tracks))
-    console.print(conflicts_table(Conflicts.model_validate(conflicts).conflicts))
+    console.print(conflicts_table(conflicts.conflicts))
 
 
 def before_after_table(metrics: Metrics) -> Table:

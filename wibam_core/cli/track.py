@@ -15,6 +15,7 @@ from rich.progress import track as show_progress
 from rich.table import Table
 
 from wibam_core.config import TrackConfig
+from wibam_core.documents.recordings import VideoInfo
 from wibam_core.errors import CalibrationError, InvalidWeights, MissingCamera
 from wibam_core.evaluation.uncertainty import GROUPS, SdFactors
 from wibam_core.formats.rig import read_rig
@@ -29,7 +30,7 @@ from wibam_core.scene import Track
 from wibam_core.tracking.recording import track_recording
 from wibam_core.tracking.uncalibrated import nominal_camera
 from wibam_core.video.decode import frames_nearest
-from wibam_core.video.probe import VideoInfo, probe
+from wibam_core.video.probe import probe
 from wibam_core.video.sampling import Span, multiples_within
 
 #: Aspect ratios of calibration and recording may differ by rounding alone.

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import time
 from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
@@ -12,6 +11,9 @@ from typing import Any, Self
 from wibam_core.client.connection import Connection
 from wibam_core.client.uploading import UploadProgress, send_file
 from wibam_core.client.views import ArtifactView, FileView, JobView, PlannedView, SiteView
+from wibam_core.documents.conflicts import Conflicts
+from wibam_core.documents.metrics import Metrics
+from wibam_core.documents.tracks import TrackPage, TrackState
 from wibam_core.errors import ServiceUnavailable
 from wibam_core.jobs.records import Purpose
 from wibam_core.site import Site
@@ -172,15 +174,15 @@ class WibamClient:
         return str(found["text"]), int(found["next_offset"]), bool(found["complete"])
 
     # --- results -------------------------------------------------------------------------------
-    def metrics(self, job_id: str) -> dict[str, Any]:
-        """The contents of ``metrics.json``."""
-        return dict(self._connection.json("GET", f"/v1/jobs/{job_id}/metrics"))
+    def metrics(self, job_id: str) -> Metrics:
+        """How good the networks are."""
+        return Metrics.model_validate(self._connection.json("GET", f"/v1/jobs/{job_id}/metrics"))
 
-    def conflicts(self, job_id: str) -> dict[str, Any]:
-        """The contents of ``conflicts.json``."""
-        return dict(self._connection.json("GET", f"/v1/jobs/{job_id}/conflicts"))
+    def conflicts(self, job_id: str) -> Conflicts:
+        """Conflicts between road users."""
+        return Conflicts.model_validate(self._connection.json("GET", f"/v1/jobs/{job_id}/conflicts"))
 
-    def tracks(self, job_id: str, **query: Any) -> Iterator[dict[str, Any]]:
+    def tracks(self, job_id: str, **query: Any) -> Iterator[TrackState]:
         """States of vehicles, sorted by time, fetched page by page.
 
         Args:
@@ -190,16 +192,18 @@ class WibamClient:
         """
         params = _track_params(query)
         while True:
-            page = self._connection.json("GET", f"/v1/jobs/{job_id}/tracks", params=params)
-            yield from page["states"]
-            if page["next"] is None:
+            answer = self._connection.json("GET", f"/v1/jobs/{job_id}/tracks", params=params)
+            page = TrackPage.model_validate(answer)
+            yield from page.states
+            if page.next is None:
                 return
-            params["cursor"] = page["next"]
+            params["cursor"] = page.next
 
     def download_tracks(self, job_id: str, target: Path, format: str = "parquet", **query: Any) -> Path:
         """All matching states as a "parquet", "csv" or "json" file; ``query`` as in `tracks`."""
         if format == "json":
-            target.write_text(json.dumps({"states": list(self.tracks(job_id, **query))}), encoding="utf-8")
+            page = TrackPage(states=list(self.tracks(job_id, **query)), next=None)
+            target.write_text(page.model_dump_json(by_alias=True), encoding="utf-8")
             return target
         params = {**_track_params(query), "format": format}
         return self._connection.download(f"/v1/jobs/{job_id}/tracks", target, params)

@@ -89,5 +89,7 @@ class ArtifactView(_View):
     """A file that a stage wrote."""
 
     id: str
+    artifact: str
+    title: str
     size_bytes: int
     sha256: str

@@ -4,68 +4,18 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
-from types import MappingProxyType
 
 import numpy as np
 
 from wibam_core.config import DatasetConfig
+from wibam_core.documents.split import SUBSETS, Split
 from wibam_core.errors import TooFewInstants
-from wibam_core.scene import AnnotatedInstant, IntArray, MultiViewVehicle
-
-SUBSETS = ("train", "val", "test")
+from wibam_core.scene import AnnotatedInstant, IntArray
 
 #: A subset with fewer instants than this cannot say anything.
 MIN_INSTANTS = 4
 #: Gaps that take more than this share of the footage are worth a word.
 _LARGE_GAPS = 0.2
-
-
-@dataclass(frozen=True, eq=False)
-class Split:
-    """Which instants belong to which subset.
-
-    Attributes:
-        times_ns: subset -> instants in order of time, at the rate of the dataset.
-        left_out_tracks: subset -> vehicles that a later subset sees too. They are no labels in this subset: the later
-            one keeps them, so that the test subset loses none.
-    """
-
-    times_ns: Mapping[str, tuple[int, ...]]
-    left_out_tracks: Mapping[str, frozenset[int]]
-
-    def __post_init__(self) -> None:
-        times = [set(self.times_ns[name]) for name in SUBSETS]
-        if sum(map(len, times)) != len(set().union(*times)):
-            raise ValueError("an instant belongs to two subsets")
-        object.__setattr__(self, "times_ns", MappingProxyType(dict(self.times_ns)))
-        object.__setattr__(self, "left_out_tracks", MappingProxyType(dict(self.left_out_tracks)))
-
-    def subset_of(self) -> dict[int, str]:
-        """Subset of every instant that is in one, by time."""
-        return {time: name for name in SUBSETS for time in self.times_ns[name]}
-
-    def labels(self, subset: str, instant: AnnotatedInstant) -> tuple[MultiViewVehicle, ...]:
-        """The vehicles of an instant that may be labels in ``subset``."""
-        left_out = self.left_out_tracks[subset]
-        return tuple(vehicle for vehicle in instant.vehicles if vehicle.track_id not in left_out)
-
-    def to_json(self) -> dict[str, object]:
-        """``{"train": [time_ns, ...], "val": ..., "test": ..., "left_out_tracks": {"train": [...], ...}}``."""
-        times: dict[str, object] = {name: list(self.times_ns[name]) for name in SUBSETS}
-        return times | {"left_out_tracks": {name: sorted(self.left_out_tracks[name]) for name in SUBSETS}}
-
-    @classmethod
-    def from_json(cls, document: Mapping[str, object]) -> Split:
-        """The inverse of `to_json`."""
-        left_out = document["left_out_tracks"]
-        assert isinstance(left_out, Mapping)
-        times: dict[str, tuple[int, ...]] = {}
-        for name in SUBSETS:
-            listed = document[name]
-            assert isinstance(listed, Sequence)
-            times[name] = tuple(int(time) for time in listed)
-        return cls(times, {name: frozenset(int(track) for track in left_out[name]) for name in SUBSETS})
 
 
 def split_in_time(instants: Sequence[AnnotatedInstant], config: DatasetConfig) -> Split:
@@ -95,7 +45,7 @@ def split_in_time(instants: Sequence[AnnotatedInstant], config: DatasetConfig) -
         subsets[name] = tuple(int(t) for t in chosen[(chosen >= begin - 0.5) & (chosen < end - 0.5)])
         begin = end + (config.gap_s * 1e9 if shares[name] > 0 else 0.0)
     _check(subsets, shares, config, gaps, span_s)
-    return Split(subsets, _left_out(instants, subsets))
+    return Split(times_ns=subsets, left_out_tracks=_left_out(instants, subsets))
 
 
 def _length_s(times_ns: IntArray) -> float:

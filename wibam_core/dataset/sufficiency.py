@@ -6,7 +6,7 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from wibam_core.dataset.split import Split
+from wibam_core.documents.split import Split
 from wibam_core.errors import NoMultiViewVehicles
 from wibam_core.scene import AnnotatedInstant, Vehicles3D
 
@@ -103,7 +103,7 @@ def paired_vehicles(instants: Sequence[AnnotatedInstant], split: Split) -> int:
             vehicle.track_id
             for instant in instants
             if instant.time_ns in times
-            for vehicle in split.labels("train", instant)
+            for vehicle in split.may_teach("train", instant)
             if len(vehicle.views) > 1
         }
     )

@@ -7,11 +7,12 @@ that all views share, and sizes that are small in every view alike, stay hidden.
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
+from wibam_core.documents.metrics import Consistency
 from wibam_core.evaluation.matching import assign
 from wibam_core.evaluation.summary import mean_sd
 from wibam_core.geometry.box3d import X, Y
@@ -52,28 +53,23 @@ class Agreement(NamedTuple):
 
 def self_consistency(
     predictions: Iterable[Vehicles3D], annotations: Iterable[AnnotatedInstant], rig: Mapping[str, Camera]
-) -> dict[str, Any]:
+) -> Consistency:
     """Image IoU of predictions with the 2D boxes of the views that they were not made in, and how smoothly they move.
 
     Args:
         predictions: one entry per camera and instant; ``time_ns`` is the instant.
         annotations: automatic multi-view vehicles of the same instants.
         rig: camera id -> camera.
-
-    Returns:
-        ``other_views`` and ``own_view``: ``{"mean", "sd"}`` of the IoU; ``roughness_m``: the same of `roughness`;
-        ``pairs``: vehicle and other view; ``found``: share of the sightings of multi-view vehicles that have a
-        prediction.
     """
     found, asked = agreements(predictions, annotations, rig)
     others = np.array([iou for one in found for iou in one.other_ious])
-    return {
-        "other_views": mean_sd(others),
-        "own_view": mean_sd(np.array([one.own_iou for one in found])),
-        "roughness_m": mean_sd(roughness(found)),
-        "pairs": len(others),
-        "found": len(found) / asked if asked else None,
-    }
+    return Consistency(
+        other_views=mean_sd(others),
+        own_view=mean_sd(np.array([one.own_iou for one in found])),
+        roughness_m=mean_sd(roughness(found)),
+        pairs=len(others),
+        found=len(found) / asked if asked else None,
+    )
 
 
 def agreements(

@@ -8,11 +8,12 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from wibam_core.documents.base import finite
+from wibam_core.documents.metrics import Significance
 from wibam_core.evaluation.evaluate import Evaluation
 from wibam_core.evaluation.metrics import METRICS
 
@@ -84,8 +85,8 @@ def bootstrap_by_vehicle(
     return Bootstrap(float(after.mean() - before.mean()), float(low), float(high), p)
 
 
-def significance(before: Evaluation, after: Evaluation, *, seed: int = 0) -> dict[str, Any]:
-    """Both tests for every metric, as JSON types: "z", "p_z", "difference", "low", "high" and "p_bootstrap" each."""
+def significance(before: Evaluation, after: Evaluation, *, seed: int = 0) -> dict[str, Significance]:
+    """Both tests, by metric."""
     result = {}
     for name in METRICS:
         first, second = getattr(before.metrics, name), getattr(after.metrics, name)
@@ -98,13 +99,12 @@ def significance(before: Evaluation, after: Evaluation, *, seed: int = 0) -> dic
             after.matched.vehicle_ids[in_second],
             seed=seed,
         )
-        figures = {
-            "z": test.z,
-            "p_z": test.p,
-            "difference": drawn.difference,
-            "low": drawn.low,
-            "high": drawn.high,
-            "p_bootstrap": drawn.p,
-        }
-        result[name] = {key: value if math.isfinite(value) else None for key, value in figures.items()}
+        result[name] = Significance(
+            z=finite(test.z),
+            p_z=finite(test.p),
+            difference=finite(drawn.difference),
+            low=finite(drawn.low),
+            high=finite(drawn.high),
+            p_bootstrap=finite(drawn.p),
+        )
     return result

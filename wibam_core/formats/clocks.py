@@ -10,8 +10,8 @@ The first camera is the reference. Standard deviations are absent where they are
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import dataclass
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Literal
 
@@ -29,6 +29,28 @@ class ClockError:
 
     offset_sd_ns: float
     drift_sd: float
+
+
+@dataclass(frozen=True, eq=False)
+class Clocks(Mapping[str, ClockMap]):
+    """Clock maps by camera id, the reference first.
+
+    Attributes:
+        maps: camera id -> its clock.
+        errors: how well the clocks are known, where that is known.
+    """
+
+    maps: Mapping[str, ClockMap]
+    errors: Mapping[str, ClockError] = field(default_factory=dict)
+
+    def __getitem__(self, camera_id: str) -> ClockMap:
+        return self.maps[camera_id]
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(self.maps)
+
+    def __len__(self) -> int:
+        return len(self.maps)
 
 
 class _Clock(BaseModel):
@@ -56,9 +78,9 @@ class _Clocks(BaseModel):
         return self
 
 
-def write_clocks(path: Path, clocks: Mapping[str, ClockMap], errors: Mapping[str, ClockError] | None = None) -> None:
-    """Write clock maps by camera id, the reference first, and how well they are known where ``errors`` says so."""
-    known = errors or {}
+def write_clocks(path: Path, clocks: Clocks) -> None:
+    """Write clock maps, and how well they are known."""
+    known = clocks.errors
     document = _Clocks(
         clocks=tuple(
             _Clock(
@@ -74,9 +96,14 @@ def write_clocks(path: Path, clocks: Mapping[str, ClockMap], errors: Mapping[str
     path.write_text(document.model_dump_json(indent=1, exclude_none=True) + "\n", encoding="utf-8")
 
 
-def _read(path: Path) -> _Clocks:
+def read_clocks(path: Path) -> Clocks:
+    """Read what `write_clocks` wrote.
+
+    Raises:
+        InputError: if the file is missing or malformed.
+    """
     try:
-        return _Clocks.model_validate_json(path.read_bytes())
+        read = _Clocks.model_validate_json(path.read_bytes()).clocks
     except FileNotFoundError as error:
         raise InputError(f"{path.name} does not exist", hint="Run the sync stage first.") from error
     except pydantic.ValidationError as error:
@@ -85,25 +112,11 @@ def _read(path: Path) -> _Clocks:
         raise InputError(
             f"{path.name} is no table of clocks: {where}: {first['msg']}", hint="Use the clocks.json of the sync stage."
         ) from error
-
-
-def read_clocks(path: Path) -> dict[str, ClockMap]:
-    """Clock maps by camera id, in the order of the file: the reference first.
-
-    Raises:
-        InputError: if the file is missing or malformed.
-    """
-    return {clock.camera_id: ClockMap(clock.offset_ns, clock.drift) for clock in _read(path).clocks}
-
-
-def read_clock_errors(path: Path) -> dict[str, ClockError]:
-    """How well the clocks are known, for the cameras where the file says so.
-
-    Raises:
-        InputError: if the file is missing or malformed.
-    """
-    return {
-        clock.camera_id: ClockError(clock.offset_sd_ns, clock.drift_sd)
-        for clock in _read(path).clocks
-        if clock.offset_sd_ns is not None and clock.drift_sd is not None
-    }
+    return Clocks(
+        {clock.camera_id: ClockMap(clock.offset_ns, clock.drift) for clock in read},
+        {
+            clock.camera_id: ClockError(clock.offset_sd_ns, clock.drift_sd)
+            for clock in read
+            if clock.offset_sd_ns is not None and clock.drift_sd is not None
+        },
+    )

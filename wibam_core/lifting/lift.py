@@ -5,13 +5,13 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
-from typing import Any
 
 import numpy as np
 import torch
 
 from wibam_core.association.rays import rig_centre
 from wibam_core.config import LiftConfig
+from wibam_core.documents.statistics import FitsByViews, LiftStatistics, ResidualPercentiles
 from wibam_core.geometry.box3d import SIZE, XY
 from wibam_core.geometry.camera import Camera
 from wibam_core.geometry.se3 import SE3, normalise_angle
@@ -61,7 +61,7 @@ class LiftResult:
     """Fitted vehicles, one entry for every instant given, and figures about all fits (JSON types)."""
 
     vehicles: list[Vehicles3D]
-    statistics: dict[str, Any]
+    statistics: LiftStatistics
 
 
 @contextmanager
@@ -301,21 +301,21 @@ def _statistics(
     noise: float,
     lasting: float,
     shapes: Shapes,
-) -> dict[str, Any]:
+) -> LiftStatistics:
     if residual is None or keep is None:
-        return {"fits": 0, "kept": 0, "tracks": 0}
+        return LiftStatistics(fits=0, kept=0, tracks=0)
     views = seen.seen.sum(axis=1)
-    return {
-        "fits": len(seen),
-        "kept": int(keep.sum()),
-        "kept_share": float(keep.mean()),
-        "tracks": len(np.unique(seen.tracks)),
-        "edge_noise": noise,
-        "edge_persistence": lasting,
-        "templates": shapes.statistics(),
-        "residual": {f"p{p}": float(np.percentile(residual, p)) for p in (10, 50, 90)},
-        "by_views": {
-            str(n): {"fits": int((views == n).sum()), "residual": float(np.median(residual[views == n]))}
+    return LiftStatistics(
+        fits=len(seen),
+        kept=int(keep.sum()),
+        tracks=len(np.unique(seen.tracks)),
+        kept_share=float(keep.mean()),
+        edge_noise=noise,
+        edge_persistence=lasting,
+        bodies=shapes.statistics(),
+        residual=ResidualPercentiles(**{f"p{p}": float(np.percentile(residual, p)) for p in (10, 50, 90)}),
+        by_views={
+            str(n): FitsByViews(fits=int((views == n).sum()), residual=float(np.median(residual[views == n])))
             for n in np.unique(views).tolist()
         },
-    }
+    )

@@ -8,12 +8,12 @@ place, heading and size of each vehicle are free, and marginalised.
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import Any
 
 import numpy as np
 import torch
 from torch import Tensor
 
+from wibam_core.documents.statistics import LearnedBody
 from wibam_core.geometry.gauss_newton import cauchy_weights, normal_equations
 from wibam_core.lifting.fit import (
     LOG_HEIGHT,
@@ -115,14 +115,14 @@ class Shapes:
             np.where(take, other.tracks, self.tracks),
         )
 
-    def statistics(self) -> dict[str, Any]:
-        """Modes and standard deviations of the classes whose bodies were corrected (JSON types)."""
+    def statistics(self) -> dict[str, LearnedBody]:
+        """Modes and standard deviations of the classes whose bodies were corrected."""
         return {
-            str(CLASSES[c]): {
-                "tracks": int(self.tracks[c]),
-                "modes": dict(zip(MODES, self.modes[c].tolist(), strict=True)),
-                "sd": dict(zip(MODES, self.sd[c].tolist(), strict=True)),
-            }
+            str(CLASSES[c]): LearnedBody(
+                tracks=int(self.tracks[c]),
+                modes=dict(zip(MODES, self.modes[c].tolist(), strict=True)),
+                sd=dict(zip(MODES, self.sd[c].tolist(), strict=True)),
+            )
             for c in np.flatnonzero(self.tracks)
         }
 

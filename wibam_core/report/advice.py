@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from wibam_core.report.inputs import DetectorFigures, Metrics, Significance
+from wibam_core.documents.metrics import DetectorFigures, Metrics, Significance
 from wibam_core.report.words import percent
 
 #: Differences are called real below this p (bootstrap over vehicles).

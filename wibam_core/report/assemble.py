@@ -1,24 +1,28 @@
-"""Upstream stages' folders to `ReportData`: the only part of the report that reads files."""
+"""What the other stages made to `ReportData`: the only part of the report that reads files."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import TypeVar
 
 import numpy as np
-from pydantic import TypeAdapter
 
 import wibam_core
+from wibam_core.artifacts import catalogue
+from wibam_core.artifacts.access import ArtifactReader
 from wibam_core.association.rays import ground_points
-from wibam_core.dataset.split import SUBSETS, Split
+from wibam_core.documents import base as documents
+from wibam_core.documents.calibration import CalibrationResiduals
+from wibam_core.documents.conflicts import Conflicts
+from wibam_core.documents.curves import Curves
+from wibam_core.documents.metrics import Metrics
+from wibam_core.documents.recordings import Probe
+from wibam_core.documents.split import SUBSETS
+from wibam_core.documents.statistics import LiftStatistics
+from wibam_core.documents.synchronisation import Synchronisation as Changes
 from wibam_core.evaluation.labels_at import LabelTimeline
-from wibam_core.formats.annotations import read_annotations
 from wibam_core.formats.framestore import FrameStore
 from wibam_core.formats.labels import read_labels
-from wibam_core.formats.rig import read_rig
-from wibam_core.formats.tracks import read_tracks
-from wibam_core.formats.vehicles3d import read_vehicles3d
 from wibam_core.report.bev import BoxesInstant, ClusteredInstant
 from wibam_core.report.charts import Bars, Curve, Delay, Histogram
 from wibam_core.report.data import (
@@ -35,19 +39,6 @@ from wibam_core.report.data import (
     Synchronisation,
     Training,
 )
-from wibam_core.report.inputs import (
-    AssociationStatistics,
-    CameraResiduals,
-    Changes,
-    Conflicts,
-    Curves,
-    DatasetStatistics,
-    HistogramCounts,
-    LiftStatistics,
-    Manifest,
-    Metrics,
-)
-from wibam_core.report.inputs import Recording as ProbedRecording
 from wibam_core.report.mosaic import typical_image
 from wibam_core.report.selection import Choice, busiest, choose_examples
 from wibam_core.scene import AnnotatedInstant, CameraRig, Vehicles3D
@@ -71,80 +62,69 @@ _DECODES = {
 _KEPT = {"last": "those of the last step", "best": "those of the best validation loss"}
 _NOT_SYNCHRONISED = "The recordings were taken to share one clock, as asked for; nothing was measured."
 
-_Kind = TypeVar("_Kind")
 _ByFrame = Mapping[tuple[int, str], Vehicles3D]
 
 
 def assemble(
-    site_name: str, upstream: Mapping[str, Path], labels: Path | None, titles: Mapping[str, str], examples: int
+    site_name: str, inputs: ArtifactReader, labels: Path | None, titles: Mapping[str, str], examples: int
 ) -> ReportData:
     """Read everything that a report shows.
 
     Args:
         site_name: as the user wrote it.
-        upstream: stage -> its published folder, of every stage but the report.
+        inputs: what every stage but the report has made.
         labels: hand labels, where there are any.
         titles: stage -> what it does, for a person.
         examples: frames to show before and after.
     """
-    rig = read_rig(upstream["calibrate"] / "rig.json")
-    store = FrameStore(upstream["frames"])
-    metrics = _json(upstream["evaluate"] / "metrics.json", Metrics)
-    conflicts = _json(upstream["safety"] / "conflicts.json", Conflicts)
-    annotations = read_annotations(upstream["associate"] / "annotations.parquet")
-    split = Split.from_json(_json(upstream["dataset"] / "split.json", dict[str, object]))
+    rig, store = inputs.read(catalogue.RIG), inputs.read(catalogue.FRAMES)
+    metrics, conflicts = inputs.read(catalogue.METRICS), inputs.read(catalogue.CONFLICTS)
+    annotations, split = inputs.read(catalogue.ANNOTATIONS), inputs.read(catalogue.SPLIT)
     test = [instant for instant in annotations if instant.time_ns in set(split.times_ns["test"])]
     choices = choose_examples(test, tuple(rig), examples)
+    before, after = inputs.read(catalogue.PREDICTIONS_BASELINE), inputs.read(catalogue.PREDICTIONS_FINETUNED)
     predictions = {
-        name: _predictions(upstream["evaluate"] / f"predictions_{name}.parquet", metrics.options["min_score"])
-        for name in ("baseline", "finetuned")
+        name: _by_frame(found, metrics.options["min_score"])
+        for name, found in (("baseline", before), ("finetuned", after))
     }
+    tracks = inputs.read(catalogue.TRACKS)
     timeline = LabelTimeline(read_labels(labels)) if labels is not None and metrics.finetuned is not None else None
     return ReportData(
         site_name=site_name,
         version=wibam_core.__version__,
         rig=rig,
-        recordings=_recordings(upstream["preflight"]),
-        synchronisation=_synchronisation(upstream["sync"]),
-        calibration=_calibration(upstream["calibrate"]),
-        dataset=_dataset(upstream),
-        training=_training(upstream["finetune"], upstream["lift"]),
+        recordings=_recordings(inputs.read(catalogue.PROBE)),
+        synchronisation=_synchronisation(inputs.read(catalogue.CHANGES)),
+        calibration=_calibration(inputs.read(catalogue.RESIDUALS)),
+        dataset=_dataset(inputs),
+        training=_training(inputs.read(catalogue.CURVES), inputs.read(catalogue.LIFT_STATISTICS)),
         metrics=metrics,
-        tracks=tuple(read_tracks(upstream["track"] / "tracks.parquet")),
+        tracks=tuple(tracks),
         conflicts=tuple(conflicts.conflicts),
         conflict_thresholds=conflicts.thresholds,
         typical_images=_typical_images(store, rig),
         clusters=tuple(_clustered(instant, rig) for instant in busiest(annotations, _CLUSTER_INSTANTS)),
         boxes=tuple(_boxes(choice, predictions, timeline) for choice in choices),
         examples=tuple(_example(choice, store, rig, predictions, timeline) for choice in choices),
-        stages=_stages(upstream, titles),
+        stages=_stages(inputs, titles),
         options=_options(metrics, conflicts),
     )
 
 
-def _json(path: Path, kind: type[_Kind]) -> _Kind:
-    return TypeAdapter(kind).validate_json(path.read_bytes())
-
-
-def _predictions(path: Path, min_score: float) -> _ByFrame:
-    found = read_vehicles3d(path)
+def _by_frame(found: Sequence[Vehicles3D], min_score: float) -> _ByFrame:
     return {(v.time_ns, str(v.camera_id)): v.where(v.scores >= min_score) for v in found}
 
 
-def _recordings(folder: Path) -> tuple[Recording, ...]:
-    probed = _json(folder / "probe.json", dict[str, ProbedRecording])
+def _recordings(probe: Probe) -> tuple[Recording, ...]:
     return tuple(
         Recording(camera_id, info.codec, info.width_px, info.height_px, info.fps, info.duration_s)
-        for camera_id, info in probed.items()
+        for camera_id, info in probe.cameras.items()
     )
 
 
-def _synchronisation(folder: Path) -> Synchronisation:
-    changes = _json(folder / "changes.json", Changes)
+def _synchronisation(changes: Changes) -> Synchronisation:
     if changes.method == "none":
-        return Synchronisation(
-            (), (), ("The recordings were taken to share one clock, as asked for; nothing was measured.",)
-        )
+        return Synchronisation((), (), (_NOT_SYNCHRONISED,))
     clocks = tuple(
         ClockRow(
             camera_id,
@@ -174,7 +154,7 @@ def _synchronisation(folder: Path) -> Synchronisation:
     return Synchronisation(clocks, delays, warnings)
 
 
-def _calibration(folder: Path) -> tuple[CalibrationRow, ...]:
+def _calibration(residuals: CalibrationResiduals) -> tuple[CalibrationRow, ...]:
     return tuple(
         CalibrationRow(
             camera_id,
@@ -186,15 +166,15 @@ def _calibration(folder: Path) -> tuple[CalibrationRow, ...]:
             one.median_m,
             {(zone.from_m, zone.to_m): zone.m_per_px for zone in one.zones if zone.m_per_px is not None},
         )
-        for camera_id, one in _json(folder / "residuals.json", dict[str, CameraResiduals]).items()
+        for camera_id, one in residuals.cameras.items()
     )
 
 
-def _dataset(upstream: Mapping[str, Path]) -> Dataset:
-    associated = _json(upstream["associate"] / "statistics.json", AssociationStatistics)
-    statistics = _json(upstream["dataset"] / "statistics.json", DatasetStatistics)
+def _dataset(inputs: ArtifactReader) -> Dataset:
+    associated = inputs.read(catalogue.ASSOCIATION_STATISTICS)
+    statistics = inputs.read(catalogue.DATASET_STATISTICS)
     return Dataset(
-        detected_boxes=associated.boxes,
+        detected_boxes=inputs.read(catalogue.DETECTION_STATISTICS).boxes,
         unassociated_share=associated.unassociated_share,
         single_view=associated.single_view,
         subsets=tuple(
@@ -212,18 +192,16 @@ def _dataset(upstream: Mapping[str, Path]) -> Dataset:
     )
 
 
-def _histogram(title: str, unit: str, counts: HistogramCounts) -> Histogram:
+def _histogram(title: str, unit: str, counts: documents.Histogram) -> Histogram:
     return Histogram(title, unit, tuple(counts.edges), tuple(counts.counts))
 
 
-def _by_number(counts: HistogramCounts) -> dict[str, int]:
+def _by_number(counts: documents.Histogram) -> dict[str, int]:
     """A histogram of whole numbers in bins one wide."""
     return {f"{edge:.0f}": count for edge, count in zip(counts.edges, counts.counts, strict=False)}
 
 
-def _training(finetune: Path, lift: Path) -> Training:
-    curves = _json(finetune / "curves.json", Curves)
-    lifts = _json(lift / "statistics.json", LiftStatistics)
+def _training(curves: Curves, lifts: LiftStatistics) -> Training:
     steps = [epoch.step for epoch in curves.epochs]
     totals = (
         _curve("training", steps, [epoch.train for epoch in curves.epochs], "total"),
@@ -319,14 +297,9 @@ def _found(predictions: _ByFrame, time_ns: int, camera_id: str) -> Array:
     return np.empty((0, 7)) if found is None else found.boxes
 
 
-def _stages(upstream: Mapping[str, Path], titles: Mapping[str, str]) -> tuple[StageRow, ...]:
-    rows = []
-    for stage, title in titles.items():
-        path = upstream[stage] / "manifest.json" if stage in upstream else None
-        if path is not None and path.is_file():
-            manifest = _json(path, Manifest)
-            rows.append(StageRow(title, manifest.digest, manifest.seconds))
-    return tuple(rows)
+def _stages(inputs: ArtifactReader, titles: Mapping[str, str]) -> tuple[StageRow, ...]:
+    manifests = {stage: inputs.manifest(stage) for stage in titles if stage in inputs.stages}
+    return tuple(StageRow(titles[stage], manifest.digest, manifest.seconds) for stage, manifest in manifests.items())
 
 
 def _options(metrics: Metrics, conflicts: Conflicts) -> tuple[tuple[str, str], ...]:

@@ -10,7 +10,8 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
 
-from wibam_core.report.inputs import DetectorFigures, MeanSd, Part, Reliability
+from wibam_core.documents.base import MeanSd
+from wibam_core.documents.metrics import DetectorFigures, Part, Reliability
 from wibam_core.report.style import BASELINE, FINETUNED, GRID, INK, MUTED, camera_colour, new_figure, plain, tidy
 
 

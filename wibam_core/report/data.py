@@ -8,10 +8,11 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from wibam_core.documents.conflicts import ConflictRow
+from wibam_core.documents.metrics import Metrics
 from wibam_core.geometry.camera import Camera
 from wibam_core.report.bev import BoxesInstant, ClusteredInstant
 from wibam_core.report.charts import Bars, Curve, Delay, Histogram
-from wibam_core.report.inputs import ConflictRow, Metrics
 from wibam_core.scene import CameraRig, Track
 
 Image = NDArray[np.uint8]

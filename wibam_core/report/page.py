@@ -5,9 +5,10 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
+from wibam_core.documents.conflicts import ConflictRow
+from wibam_core.documents.metrics import Metrics
 from wibam_core.report.advice import advice
 from wibam_core.report.data import Dataset, ReportData, SubsetRow
-from wibam_core.report.inputs import ConflictRow, Metrics
 from wibam_core.report.pictures import MAX_CONFLICTS, Picture, Pictures
 from wibam_core.report.results import NETWORKS, ResultRow, compared, result_rows, z_tests
 from wibam_core.report.words import NONE, braking, interval, mean_sd, number, percent, signed

@@ -8,12 +8,12 @@ from dataclasses import dataclass
 import numpy as np
 from matplotlib.figure import Figure
 
+from wibam_core.documents.metrics import Bin, OfClass, Part, Reliability
 from wibam_core.geometry.box3d import XY
 from wibam_core.report import bev, charts
 from wibam_core.report.bev import BoxesInstant, ConflictMark, Ground
 from wibam_core.report.data import Array, Example, Image, ReportData
 from wibam_core.report.encode import EXAMPLE_WIDTH_PX, jpeg_uri, svg_uri, webp_uri
-from wibam_core.report.inputs import Bin, OfClass, Part, Reliability
 from wibam_core.report.mosaic import Extent, ground_mosaic
 from wibam_core.report.overlay import draw_boxes
 from wibam_core.report.style import BASELINE, FINETUNED, bgr
@@ -158,7 +158,7 @@ def _bins(bins: Mapping[str, Sequence[Bin]] | None, by: str, axis: str, *, perce
 
 
 def _classes(classes: Mapping[str, Sequence[OfClass]] | None) -> Picture | None:
-    parts = {network: {one.vehicle_class: one for one in of} for network, of in (classes or {}).items()}
+    parts = {network: {one.road_user_class: one for one in of} for network, of in (classes or {}).items()}
     return _parts(parts, "class", "class")
 
 

@@ -5,8 +5,9 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 
+from wibam_core.documents.base import MeanSd
+from wibam_core.documents.metrics import DetectorFigures, Metrics, Significance
 from wibam_core.report.advice import SIGNIFICANT
-from wibam_core.report.inputs import DetectorFigures, MeanSd, Metrics, Significance
 from wibam_core.report.words import NONE, number, signed
 
 #: Means and standard deviations published for the method, on the authors' own test set.

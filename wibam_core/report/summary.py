@@ -1,58 +1,39 @@
-"""The result of a job in one small JSON object: what a script needs to decide whether it went well."""
+"""The result of a job in one small document."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any
 
-from wibam_core.report.inputs import DetectorFigures, MeanSd, Metrics
-
-#: The published five and recall, in the order of the paper's table with BEV first.
-METRIC_NAMES = ("bev_iou", "iou_3d", "ate_m", "ase", "aoe_deg", "recall")
+from wibam_core.documents.metrics import DetectorFigures, Metrics
+from wibam_core.documents.summary import HeadlineFigures, JobSummary
 
 
 def summary(
-    metrics: Mapping[str, Any],
-    seconds: Mapping[str, float],
-    tracks: int,
-    conflicts: int,
-    paths: Mapping[str, Path],
-) -> dict[str, Any]:
-    """The figures of a job, JSON types only.
+    metrics: Metrics, seconds: Mapping[str, float], tracks: int, conflicts: int, paths: Mapping[str, Path]
+) -> JobSummary:
+    """The figures of a job.
 
     Args:
-        metrics: the contents of ``metrics.json``.
+        metrics: of both networks.
         seconds: running time by stage.
         tracks: how many.
         conflicts: how many.
         paths: "weights", "tracks" (Parquet) and "report".
-
-    Returns:
-        ``baseline`` and ``finetuned``: `METRIC_NAMES` as ``{"mean", "sd"}``, ``matched`` and ``missed``, or None
-        without labels; ``self_consistency`` by method; ``seconds``, ``tracks``, ``conflicts`` and ``paths``.
     """
-    read = Metrics.model_validate(metrics)
-    return {
-        "baseline": _figures(read.baseline),
-        "finetuned": _figures(read.finetuned),
-        "self_consistency": {name: _mean_sd(value.other_views) for name, value in read.self_consistency.items()},
-        "seconds": {stage: round(float(value), 3) for stage, value in seconds.items()},
-        "tracks": tracks,
-        "conflicts": conflicts,
-        "paths": {name: str(path) for name, path in paths.items()},
-    }
+    return JobSummary(
+        baseline=_figures(metrics.baseline),
+        finetuned=_figures(metrics.finetuned),
+        self_consistency={name: value.other_views for name, value in metrics.self_consistency.items()},
+        seconds={stage: round(float(value), 3) for stage, value in seconds.items()},
+        tracks=tracks,
+        conflicts=conflicts,
+        paths={name: str(path) for name, path in paths.items()},
+    )
 
 
-def _figures(figures: DetectorFigures | None) -> dict[str, Any] | None:
+def _figures(figures: DetectorFigures | None) -> HeadlineFigures | None:
     if figures is None:
         return None
-    return {
-        **{name: _mean_sd(getattr(figures, name)) for name in METRIC_NAMES},
-        "matched": figures.matched,
-        "missed": figures.missed or 0,
-    }
-
-
-def _mean_sd(value: MeanSd) -> dict[str, float | None]:
-    return {"mean": value.mean, "sd": value.sd}
+    same = set(HeadlineFigures.model_fields) - {"missed"}
+    return HeadlineFigures(**{name: getattr(figures, name) for name in same}, missed=figures.missed or 0)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from wibam_core.report.inputs import MeanSd
+from wibam_core.documents.base import MeanSd
 from wibam_core.safety.drac import MAX_BRAKING_MPS2
 
 NONE = "–"

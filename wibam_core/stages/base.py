@@ -5,25 +5,29 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
+from wibam_core.artifacts.access import ArtifactReader, ArtifactWriter
+from wibam_core.artifacts.artifact import Artifact
 from wibam_core.progress import Progress
 from wibam_core.site import Site
 
 #: Figures of a stage for a person and for the job's status: JSON types only.
 Summary = dict[str, Any]
 
+T = TypeVar("T")
+
 
 @dataclass(frozen=True)
 class StageContext:
-    """The surroundings of one run of one stage.
+    """The surroundings of one run of one stage, the same whoever runs it.
 
     Attributes:
         site: what the user said.
         recordings: camera id -> uploaded file.
         assets: other uploaded files: "labels", "detector", "network".
-        upstream: name of each required stage -> its published output folder (read only).
-        output: an empty folder; published as a whole once the stage returns.
+        inputs: what the stages before have made; see `read`.
+        outputs: what this stage makes, published as a whole once it returns; see `write`.
         scratch: survives a killed attempt of this very stage (same hash): checkpoints to resume from.
         progress: call it a few times a second at most.
     """
@@ -31,7 +35,19 @@ class StageContext:
     site: Site
     recordings: Mapping[str, Path]
     assets: Mapping[str, Path]
-    upstream: Mapping[str, Path]
-    output: Path
+    inputs: ArtifactReader
+    outputs: ArtifactWriter
     scratch: Path
     progress: Progress
+
+    def read(self, artifact: Artifact[T]) -> T:
+        """An artifact of a stage before."""
+        return self.inputs.read(artifact)
+
+    def write(self, artifact: Artifact[T], value: T) -> None:
+        """Write an artifact of this stage."""
+        self.outputs.write(artifact, value)
+
+    def new_file(self, artifact: Artifact[Any]) -> Path:
+        """Where the stage is to write an artifact itself, piece by piece."""
+        return self.outputs.new_file(artifact)

@@ -25,6 +25,7 @@ from typing import Any
 #: Modules of wibam_core that a stage imports and that cannot change what it writes.
 LEFT_OUT = frozenset(
     {
+        "artifacts.catalogue",  # all artifacts; the layouts of those that a stage reads and writes are hashed
         "config",  # options are hashed by their values, after all that it does to them
         "progress",  # only tells how far a stage is
     }
@@ -45,7 +46,7 @@ CARRYING = frozenset({"onnx", "pyarrow", "pydantic", "pydantic_core", "pyproj", 
 
 
 @cache
-def code_digest(stage: str, without: frozenset[str] = frozenset()) -> str:
+def code_digest(stage: str, without: frozenset[str] = frozenset(), layouts: frozenset[str] = frozenset()) -> str:
     """SHA-256 (hex) of the code, bundled data and libraries that a stage's outputs depend on.
 
     Files are read once a process: what changes on the disk of a running service changes nothing in it either.
@@ -53,8 +54,10 @@ def code_digest(stage: str, without: frozenset[str] = frozenset()) -> str:
     Args:
         stage: its name, which is that of its module.
         without: modules of wibam_core that change no output of this stage; left out with what only they import.
+        layouts: dotted names of the modules that say how the artifacts look that the stage reads and writes.
     """
-    closure = _tree().closure(f"wibam_core.stages.{stage}", {f"wibam_core.{name}" for name in LEFT_OUT | without})
+    left_out = {f"wibam_core.{name}" for name in LEFT_OUT | without}
+    closure = _tree().closure([f"wibam_core.stages.{stage}", *layouts], left_out)
     computing = [COMPUTING[library] for library in closure.libraries & COMPUTING.keys()]
     return closure.digest({distribution: _version(distribution) for distribution in computing})
 
@@ -99,17 +102,17 @@ class SourceTree:
         self._modules: dict[str, _Module] = {}
         self._data: dict[Path, tuple[str, frozenset[Path]]] = {}
 
-    def closure(self, start: str, without: Collection[str] = ()) -> Closure:
-        """What a module depends on.
+    def closure(self, starts: Iterable[str], without: Collection[str] = ()) -> Closure:
+        """What some modules depend on.
 
         Args:
-            start: dotted name of the module.
+            starts: dotted names of the modules.
             without: dotted names of modules that are left out, with what only they import.
         """
         modules: dict[str, str] = {}
         data: dict[str, str] = {}
         libraries: set[str] = set()
-        pending = [start]
+        pending = list(starts)
         while pending:
             name = pending.pop()
             if name not in modules and name not in without:

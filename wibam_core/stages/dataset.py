@@ -2,27 +2,23 @@
 
 from __future__ import annotations
 
-import json
-
+from wibam_core.artifacts.catalogue import ANNOTATIONS, DATASET_STATISTICS, RIG, SPLIT
 from wibam_core.config import DatasetConfig
 from wibam_core.dataset.split import split_in_time
 from wibam_core.dataset.statistics import dataset_statistics
-from wibam_core.formats.annotations import read_annotations
-from wibam_core.formats.rig import read_rig
 from wibam_core.stages.base import StageContext, Summary
 
 
 def run(context: StageContext, config: DatasetConfig) -> Summary:
-    """Write ``split.json`` and ``statistics.json``.
+    """Write `SPLIT` and `DATASET_STATISTICS`.
 
     Raises:
         TooFewInstants: the recordings are too short for three subsets.
     """
-    rig = read_rig(context.upstream["calibrate"] / "rig.json")
-    instants = read_annotations(context.upstream["associate"] / "annotations.parquet")
+    instants = context.read(ANNOTATIONS)
     split = split_in_time(instants, config)
-    statistics = dataset_statistics(instants, rig, split)
-    (context.output / "split.json").write_text(json.dumps(split.to_json()), encoding="utf-8")
-    (context.output / "statistics.json").write_text(json.dumps(statistics, indent=1), encoding="utf-8")
+    statistics = dataset_statistics(instants, context.read(RIG), split)
+    context.write(SPLIT, split)
+    context.write(DATASET_STATISTICS, statistics)
     context.progress(1.0, "split")
-    return {"subsets": statistics["subsets"], "by_views": statistics["by_views"]}
+    return statistics.model_dump(include={"subsets", "by_views"})

@@ -7,10 +7,11 @@ from collections import Counter
 from collections.abc import Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 
+from wibam_core.artifacts.catalogue import DETECTION_STATISTICS, DETECTIONS, FRAMES
 from wibam_core.config import DetectConfig
 from wibam_core.detection.detector import BUNDLED, Detector, load_detector
+from wibam_core.documents.statistics import DetectionStatistics
 from wibam_core.errors import InputError, NoVehicles
-from wibam_core.formats.annotations import write_annotations
 from wibam_core.formats.framestore import FrameStore
 from wibam_core.progress import Progress, part
 from wibam_core.road_users import CLASSES
@@ -23,7 +24,7 @@ _CHUNK = 16
 
 
 def run(context: StageContext, config: DetectConfig) -> Summary:
-    """Write ``detections.parquet``: 2D boxes at ``config.rate_hz``, no multi-view vehicles yet.
+    """Write `DETECTIONS`, 2D boxes at ``config.rate_hz`` without multi-view vehicles yet, and `DETECTION_STATISTICS`.
 
     Raises:
         InputError: the options name a detector of one's own and there is none.
@@ -31,7 +32,7 @@ def run(context: StageContext, config: DetectConfig) -> Summary:
         NoVehicles: no frame of any camera shows a vehicle.
     """
     detector = _detector(context, config)
-    store = FrameStore(context.upstream["frames"])
+    store = context.read(FRAMES)
     refined = config.refine == "on" or (config.refine == "auto" and config.detector == "bundled")
     frame_sets = store.thinned(config.rate_hz)
     instants = list(_detect_all(store, frame_sets, detector, part(context.progress, 0.0, 0.5 if refined else 1.0)))
@@ -46,13 +47,15 @@ def run(context: StageContext, config: DetectConfig) -> Summary:
         for camera_id, seen in instant.detections.items():
             boxes[camera_id] += len(seen)
             classes.update(CLASSES[number].value for number in seen.classes)
-    write_annotations(context.output / "detections.parquet", instants)
-    return {
-        "frames": frames,
-        "boxes": boxes.total(),
-        "boxes_by_camera": {camera_id: boxes[camera_id] for camera_id in store.camera_ids},
-        "boxes_by_class": {vehicle.value: classes[vehicle.value] for vehicle in CLASSES},
-    }
+    statistics = DetectionStatistics(
+        frames=frames,
+        boxes=boxes.total(),
+        boxes_by_camera={camera_id: boxes[camera_id] for camera_id in store.camera_ids},
+        boxes_by_class={kind.value: classes[kind.value] for kind in CLASSES},
+    )
+    context.write(DETECTIONS, instants)
+    context.write(DETECTION_STATISTICS, statistics)
+    return statistics.model_dump()
 
 
 def _detector(context: StageContext, config: DetectConfig) -> Detector:

@@ -2,13 +2,24 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
 
-from wibam_core.config import EvaluateConfig
+from wibam_core.artifacts.catalogue import (
+    ANNOTATIONS,
+    CURVES,
+    FRAMES,
+    METRICS,
+    PREDICTIONS_BASELINE,
+    PREDICTIONS_FINETUNED,
+    RIG,
+    SPLIT,
+    WEIGHTS,
+)
+from wibam_core.config import DeviceOption, EvaluateConfig
+from wibam_core.documents.metrics import DetectorFigures, LabelledInstants, Metrics, Reliability
 from wibam_core.errors import TooFewInstants
 from wibam_core.evaluation.evaluate import Evaluation, evaluate
 from wibam_core.evaluation.instants import evaluated_instants, exposure_times
@@ -18,13 +29,9 @@ from wibam_core.evaluation.self_consistency import self_consistency
 from wibam_core.evaluation.significance import significance
 from wibam_core.evaluation.summary import by_class, by_distance, by_elevation, by_visibility, summarise
 from wibam_core.evaluation.uncertainty import SdFactors
-from wibam_core.formats.annotations import read_annotations
 from wibam_core.formats.framestore import FrameStore
 from wibam_core.formats.labels import read_labels
-from wibam_core.formats.rig import read_rig
-from wibam_core.formats.vehicles3d import write_vehicles3d
 from wibam_core.models.stored_frames import stored_frames
-from wibam_core.models.usage import read_decode
 from wibam_core.networks.dla34.architecture import DLA34
 from wibam_core.networks.dla34.centertrack import predict_vehicles_each
 from wibam_core.networks.small.onnx_network import OnnxNetwork
@@ -34,7 +41,7 @@ from wibam_core.placing import Decode
 from wibam_core.progress import Progress, part
 from wibam_core.scene import CameraRig, FrameSet, Vehicles3D
 from wibam_core.stages.base import StageContext, Summary
-from wibam_core.training.device import DeviceOption, choose_device_to_detect
+from wibam_core.training.device import choose_device_to_detect
 
 #: Figures of parts of the labelled vehicles, by their names in the metrics.
 _BREAKDOWNS = {
@@ -67,7 +74,7 @@ class _Detector:
 
 
 def run(context: StageContext, config: EvaluateConfig) -> Summary:
-    """Write ``metrics.json``, ``predictions_baseline.parquet`` and ``predictions_finetuned.parquet``.
+    """Write `METRICS`, `PREDICTIONS_BASELINE` and `PREDICTIONS_FINETUNED`.
 
     All frames of the test part are used, and of labelled instants between those. Their times in the files are the
     instants; the evaluators compare each frame at its own time of exposure.
@@ -76,53 +83,36 @@ def run(context: StageContext, config: EvaluateConfig) -> Summary:
         TooFewInstants: the test part holds no instant with a frame.
         InvalidLabels: the labels cannot be read.
     """
-    rig = read_rig(context.upstream["calibrate"] / "rig.json")
-    store = FrameStore(context.upstream["frames"])
+    rig, store, curves = context.read(RIG), context.read(FRAMES), context.read(CURVES)
     labels = LabelTimeline(read_labels(context.assets["labels"])) if "labels" in context.assets else None
     instants = _test_instants(context, store, labels)
-    finetune = context.upstream["finetune"]
-    curves = json.loads((finetune / "curves.json").read_text(encoding="utf-8"))
-    trained_on = curves.get("device", "auto")
-    custom = curves.get("network") == "custom"
-    start = context.assets["network"] if custom else bundled("mono_small.safetensors")
-    decode = trained_decode(finetune)
+    start = context.assets["network"] if curves.network == "custom" else bundled("mono_small.safetensors")
+    decode, factors = curves.decode, SdFactors(**curves.sd_factors)
     baselines = {"baseline": decode, **{f"baseline_{way}": way for way in _PUBLISHED if way != decode}}
     detectors = (
-        _Detector(start, baselines, SdFactors(), curves.get("input_width_px")),  # the same images for all
-        _Detector(finetune / "weights.safetensors", {"finetuned": decode}, trained_factors(finetune)),
+        _Detector(start, baselines, SdFactors(), curves.input_width_px),  # the same images for all
+        _Detector(context.read(WEIGHTS), {"finetuned": decode}, factors),
     )
     predictions: dict[str, list[Vehicles3D]] = {}
     for number, detector in enumerate(detectors):
         progress = part(context.progress, number / len(detectors), (number + 1) / len(detectors))
         min_score = min(_KEPT_SCORE, config.min_score)
-        predictions |= _detect(detector, store, instants, rig, min_score, trained_on, progress)
-    for name in ("baseline", "finetuned"):
-        write_vehicles3d(context.output / f"predictions_{name}.parquet", predictions[name])
-    metrics = _metrics(context, config, rig, instants, predictions, labels)
-    (context.output / "metrics.json").write_text(json.dumps(metrics, indent=1, allow_nan=False), encoding="utf-8")
+        predictions |= _detect(detector, store, instants, rig, min_score, curves.device, progress)
+    context.write(PREDICTIONS_BASELINE, predictions["baseline"])
+    context.write(PREDICTIONS_FINETUNED, predictions["finetuned"])
+    metrics = _metrics(context, config, instants, predictions, labels, factors)
+    context.write(METRICS, metrics)
+    headlines = {"baseline": metrics.baseline, "finetuned": metrics.finetuned}
     return {
-        "labels": metrics["labels"],
+        "labels": metrics.labels,
         "instants": len(instants),
-        **{name: _headline(metrics[name]) for name in ("baseline", "finetuned") if metrics[name] is not None},
-        "self_consistency": {name: value["other_views"] for name, value in metrics["self_consistency"].items()},
+        **{name: _headline(figures) for name, figures in headlines.items() if figures is not None},
+        "self_consistency": {name: of.other_views.model_dump() for name, of in metrics.self_consistency.items()},
     }
 
 
-def trained_decode(finetune: Path) -> Decode:
-    """How the boxes of a finetune stage's network are to be placed: as it was trained."""
-    curves = json.loads((finetune / "curves.json").read_text(encoding="utf-8"))
-    return read_decode(curves)
-
-
-def trained_factors(finetune: Path) -> SdFactors:
-    """What the standard deviations of a finetune stage's network are to be multiplied with."""
-    curves = json.loads((finetune / "curves.json").read_text(encoding="utf-8"))
-    return SdFactors(**curves.get("sd_factors", {}))
-
-
 def _test_instants(context: StageContext, store: FrameStore, labels: LabelTimeline | None) -> list[FrameSet]:
-    split = json.loads((context.upstream["dataset"] / "split.json").read_text(encoding="utf-8"))
-    instants = evaluated_instants(store.frame_sets, split["test"], labels)
+    instants = evaluated_instants(store.frame_sets, context.read(SPLIT).times_ns["test"], labels)
     if not instants:
         raise TooFewInstants("the test part of the split holds no instant with a frame")
     return instants
@@ -159,24 +149,18 @@ def _detect(
 def _metrics(
     context: StageContext,
     config: EvaluateConfig,
-    rig: CameraRig,
     instants: Sequence[FrameSet],
     predictions: dict[str, list[Vehicles3D]],
     labels: LabelTimeline | None,
-) -> dict[str, Any]:
-    factors = trained_factors(context.upstream["finetune"])
+    factors: SdFactors,
+) -> Metrics:
+    rig = context.read(RIG)
     times = {instant.time_ns for instant in instants}
-    annotations = [
-        instant
-        for instant in read_annotations(context.upstream["associate"] / "annotations.parquet")
-        if instant.time_ns in times
-    ]
+    annotations = [instant for instant in context.read(ANNOTATIONS) if instant.time_ns in times]
     consistency = {
         name: self_consistency(_above(found, config.min_score), annotations, rig) for name, found in predictions.items()
     }
-    labelled: dict[str, Any] = dict.fromkeys(
-        (*predictions, "paper_compat", "significance", *_BREAKDOWNS, "reliability")
-    )
+    labelled: dict[str, Any] = {}
     evaluations = _evaluations(config, rig, instants, predictions, labels)
     if evaluations is not None:
         correct, published = evaluations
@@ -187,16 +171,16 @@ def _metrics(
             **{by: {name: parts(one) for name, one in correct.items()} for by, parts in _BREAKDOWNS.items()},
             "reliability": _reliability(correct, factors),
         }
-    return {
-        "options": config.model_dump(),
-        "labels": "none" if evaluations is None else "hand",
-        "labelled_instants": _labelled_instants(labels, instants),
-        "instants": len(instants),
-        "frames": len(next(iter(predictions.values()))),
+    return Metrics(
+        options=config.model_dump(),
+        labels="none" if evaluations is None else "hand",
+        labelled_instants=_labelled_instants(labels, instants),
+        instants=len(instants),
+        frames=len(next(iter(predictions.values()))),
+        sd_factors=asdict(factors),
+        self_consistency=consistency,
         **labelled,
-        "sd_factors": asdict(factors),
-        "self_consistency": consistency,
-    }
+    )
 
 
 def _evaluations(
@@ -218,28 +202,28 @@ def _evaluations(
     return (correct, published) if next(iter(correct.values())).frames else None
 
 
-def _reliability(evaluations: dict[str, Evaluation], factors: SdFactors) -> dict[str, Any]:
+def _reliability(evaluations: dict[str, Evaluation], factors: SdFactors) -> dict[str, dict[str, Reliability]]:
     """By method, and of the fine-tuned network also before its standard deviations were multiplied."""
     found = {name: reliability(evaluation.errors, evaluation.sd) for name, evaluation in evaluations.items()}
     finetuned = evaluations["finetuned"]
     return {**found, "finetuned_as_learned": reliability(finetuned.errors, finetuned.sd / factors.columns())}
 
 
-def _labelled_instants(labels: LabelTimeline | None, instants: Sequence[FrameSet]) -> dict[str, float]:
+def _labelled_instants(labels: LabelTimeline | None, instants: Sequence[FrameSet]) -> LabelledInstants:
     """How many instants the user labelled, how many lie in the test part (the others are not used), when that is."""
     first_ns, last_ns = instants[0].time_ns, instants[-1].time_ns
-    return {
-        "given": 0 if labels is None else len(labels),
-        "in_test_part": 0 if labels is None else labels.between(first_ns, last_ns),
-        "test_from_s": first_ns * 1e-9,
-        "test_to_s": last_ns * 1e-9,
-    }
+    return LabelledInstants(
+        given=0 if labels is None else len(labels),
+        in_test_part=0 if labels is None else labels.between(first_ns, last_ns),
+        test_from_s=first_ns * 1e-9,
+        test_to_s=last_ns * 1e-9,
+    )
 
 
 def _above(found: Sequence[Vehicles3D], min_score: float) -> list[Vehicles3D]:
     return [vehicles.where(vehicles.scores >= min_score) for vehicles in found]
 
 
-def _headline(figures: dict[str, Any]) -> dict[str, float | None]:
+def _headline(figures: DetectorFigures) -> dict[str, float | None]:
     names = ("bev_iou", "iou_3d", "ate_m", "ase", "aoe_deg", "recall")
-    return {name: figures[name]["mean"] for name in names}
+    return {name: getattr(figures, name).mean for name in names}

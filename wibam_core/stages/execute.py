@@ -15,17 +15,20 @@ import os
 import sys
 import time
 import traceback
+from collections.abc import Mapping
 from pathlib import Path
 from typing import IO, Any
 
 from pydantic import BaseModel, ConfigDict
 
+from wibam_core.artifacts.access import ArtifactReader, ArtifactWriter
 from wibam_core.config import PipelineConfig
 from wibam_core.errors import DiskFull, StageCrashed, StageOutOfMemory, WibamError
 from wibam_core.progress import Progress
 from wibam_core.site import Site
 from wibam_core.stages.base import StageContext, Summary
 from wibam_core.stages.graph import STAGES
+from wibam_core.stages.store import Attempt
 
 _SECONDS_BETWEEN_REPORTS = 0.2
 
@@ -44,26 +47,68 @@ class StageRequest(BaseModel):
     output: Path
     scratch: Path
 
+    @classmethod
+    def of(
+        cls,
+        attempt: Attempt,
+        site: Site,
+        config: PipelineConfig,
+        recordings: Mapping[str, Path],
+        assets: Mapping[str, Path],
+        upstream: Mapping[str, Path],
+    ) -> StageRequest:
+        """What a stage is given, of all that its caller has, to make an attempt.
+
+        Args:
+            attempt: which stage, and where it may write.
+            site: what the user said.
+            config: all options.
+            recordings: camera id -> uploaded file.
+            assets: all other uploaded files; those that the stage does not read are kept from it.
+            upstream: published outputs by stage, of at least those that it reads.
+        """
+        spec = STAGES[attempt.stage]
+        return cls(
+            stage=attempt.stage,
+            site=site,
+            config=config,
+            recordings=dict(recordings),
+            assets={name: assets[name] for name in spec.assets_read(config) if name in assets},
+            upstream={name: upstream[name] for name in spec.requires},
+            output=attempt.output,
+            scratch=attempt.scratch,
+        )
+
     def context(self, progress: Progress) -> StageContext:
-        return StageContext(self.site, self.recordings, self.assets, self.upstream, self.output, self.scratch, progress)
+        """The stage's surroundings."""
+        return StageContext(
+            self.site,
+            self.recordings,
+            self.assets,
+            ArtifactReader(self.upstream),
+            ArtifactWriter(self.stage, self.output, STAGES[self.stage].writes),
+            self.scratch,
+            progress,
+        )
 
 
-def run_stage(stage: str, context: StageContext, config: PipelineConfig) -> Summary:
+def run_stage(request: StageRequest, progress: Progress) -> Summary:
     """Run a stage in this process.
 
     Raises:
         WibamError: whatever went wrong, as the tree of errors says it.
     """
+    stage = request.stage
     module = importlib.import_module(f"wibam_core.stages.{stage}")
     try:
-        summary: Summary = module.run(context, STAGES[stage].config(config))
+        summary: Summary = module.run(request.context(progress), STAGES[stage].config(request.config))
     except WibamError:
         raise
     except MemoryError as error:
         raise StageOutOfMemory(f"the stage {stage} ran out of memory") from error
     except OSError as error:
         if error.errno in (errno.ENOSPC, errno.EDQUOT):
-            raise DiskFull(f"no space left for the stage {stage}: {error.filename or context.output}") from error
+            raise DiskFull(f"no space left for the stage {stage}: {error.filename or request.output}") from error
         raise StageCrashed(f"the stage {stage} stopped: {error}") from error
     except Exception as error:
         traceback.print_exc()
@@ -97,7 +142,7 @@ def main(arguments: list[str]) -> int:
     os.dup2(2, 1)
     request = StageRequest.model_validate_json(Path(arguments[0]).read_bytes())
     try:
-        summary = run_stage(request.stage, request.context(reporter), request.config)
+        summary = run_stage(request, reporter)
     except WibamError as error:
         reporter.emit("failed", error=error.to_dict())
         return 1

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import os
 import threading
 from collections.abc import Mapping
@@ -13,14 +12,14 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from wibam_core.artifacts.catalogue import CLOCKS, FRAMES, LIMITS, PROBE
 from wibam_core.config import FramesConfig
+from wibam_core.documents.recordings import VideoInfo
 from wibam_core.errors import NoOverlap
-from wibam_core.formats.clocks import read_clocks
 from wibam_core.formats.framestore import FrameStoreWriter
 from wibam_core.scene import ClockMap
 from wibam_core.stages.base import StageContext, Summary
 from wibam_core.video.decode import DecodeCount, frames_nearest
-from wibam_core.video.probe import VideoInfo
 from wibam_core.video.sampling import Span, common_instants, overlap_s, period_ns
 
 _SECONDS_BETWEEN_REPORTS = 0.5
@@ -49,9 +48,8 @@ def run(context: StageContext, config: FramesConfig) -> Summary:
         NoOverlap: no two recordings show the same instant, or a camera shares too little time with every other one,
             or has no frame at any common instant.
     """
-    probed = json.loads((context.upstream["preflight"] / "probe.json").read_text(encoding="utf-8"))
-    infos = {camera_id: VideoInfo(**values) for camera_id, values in probed.items()}
-    clocks = read_clocks(context.upstream["sync"] / "clocks.json")
+    infos = context.read(PROBE).cameras
+    clocks = context.read(CLOCKS)
     spans = {camera_id: _span(info, clocks[camera_id]) for camera_id, info in infos.items()}
     instants = common_instants(spans, config.rate_hz)
     if not len(instants):
@@ -59,13 +57,12 @@ def run(context: StageContext, config: FramesConfig) -> Summary:
             f"no two recordings show the same instant: on the reference camera's clock they span {_seen(spans)}",
             spans_ns=_spans_ns(spans),
         )
-    limits = json.loads((context.upstream["preflight"] / "limits.json").read_text(encoding="utf-8"))
-    _check_shared(spans, infos, float(limits["min_overlap_s"]))
+    _check_shared(spans, infos, context.read(LIMITS).min_overlap_s)
     cameras = [
         _camera(camera_id, context.recordings[camera_id], clocks[camera_id], info, instants, config.rate_hz)
         for camera_id, info in infos.items()
     ]
-    with FrameStoreWriter(context.output, config.jpeg_quality) as writer:
+    with FrameStoreWriter(context.new_file(FRAMES), config.jpeg_quality) as writer:
         _read_all(cameras, writer, config.width_px, context)
         _check_stored(cameras, len(instants))
         writer.close({camera.id: (camera.info.width_px, camera.info.height_px) for camera in cameras})

@@ -14,6 +14,9 @@ from dataclasses import dataclass
 from types import MappingProxyType
 from typing import Any
 
+from wibam_core.artifacts import catalogue
+from wibam_core.artifacts.artifact import Artifact
+from wibam_core.artifacts.catalogue import made_by
 from wibam_core.config import FinetuneConfig, PipelineConfig, StageConfig
 from wibam_core.errors import InputError, UnknownOption
 from wibam_core.site import Site
@@ -46,22 +49,37 @@ class StageSpec:
 
     Attributes:
         name: of the module in `wibam_core.stages`, of the options in `PipelineConfig`, and of the output folder.
-        requires: stages whose outputs it reads.
+        title: what it does, for a person.
+        reads: the artifacts of other stages that it reads; the edges of the graph follow from them.
         site_part: what of the site description it depends on.
         reads_recordings: whether it opens the uploaded videos.
         assets: other uploaded files that it reads where there are any, and options do not say otherwise.
         asset_checks: modules of wibam_core that it only checks assets with: both can make it fail, but change nothing
             that it writes.
-        title: what it does, for a person.
     """
 
     name: str
     title: str
-    requires: tuple[str, ...] = ()
+    reads: tuple[Artifact[Any], ...] = ()
     site_part: Callable[[Site], Any] = _nothing
     reads_recordings: bool = False
     assets: tuple[str, ...] = ()
     asset_checks: frozenset[str] = frozenset()
+
+    @property
+    def requires(self) -> tuple[str, ...]:
+        """Stages whose outputs it reads."""
+        return tuple(dict.fromkeys(artifact.stage for artifact in self.reads))
+
+    @property
+    def writes(self) -> tuple[Artifact[Any], ...]:
+        """The artifacts that it makes."""
+        return made_by(self.name)
+
+    @property
+    def layouts(self) -> frozenset[str]:
+        """Modules that say how the artifacts look that it reads and writes."""
+        return frozenset(artifact.codec.layout for artifact in (*self.reads, *self.writes))
 
     def config(self, config: PipelineConfig) -> StageConfig:
         """This stage's part of the options."""
@@ -83,45 +101,60 @@ _SPECS = (
         assets=("labels", "network"),
         asset_checks=frozenset({"formats.labels", "networks.weights"}),
     ),
-    StageSpec("sync", "Synchronise the cameras", ("preflight",), _signals, reads_recordings=True),
-    StageSpec("calibrate", "Calibrate the cameras", ("preflight",), _calibration),
-    StageSpec("frames", "Read the frames", ("preflight", "sync"), _sizes, reads_recordings=True),
-    StageSpec("detect", "Detect vehicles in 2D", ("frames",), assets=("detector",)),
-    StageSpec("associate", "Associate views and link over time", ("calibrate", "detect")),
-    StageSpec("dataset", "Split in time", ("calibrate", "associate")),
-    StageSpec("lift", "Fit 7DoF boxes to all views", ("calibrate", "associate", "dataset")),
+    StageSpec("sync", "Synchronise the cameras", (catalogue.PROBE,), _signals, reads_recordings=True),
+    StageSpec("calibrate", "Calibrate the cameras", (), _calibration),
+    StageSpec(
+        "frames",
+        "Read the frames",
+        (catalogue.PROBE, catalogue.LIMITS, catalogue.CLOCKS),
+        _sizes,
+        reads_recordings=True,
+    ),
+    StageSpec("detect", "Detect vehicles in 2D", (catalogue.FRAMES,), assets=("detector",)),
+    StageSpec("associate", "Associate views and link over time", (catalogue.RIG, catalogue.DETECTIONS)),
+    StageSpec("dataset", "Split in time", (catalogue.RIG, catalogue.ANNOTATIONS)),
+    StageSpec("lift", "Fit 7DoF boxes to all views", (catalogue.RIG, catalogue.ANNOTATIONS, catalogue.SPLIT)),
     StageSpec(
         "finetune",
         "Fine-tune the 3D detector",
-        ("calibrate", "frames", "associate", "dataset", "lift"),
+        (catalogue.RIG, catalogue.FRAMES, catalogue.ANNOTATIONS, catalogue.SPLIT, catalogue.FITS),
         assets=("network",),
     ),
     StageSpec(
         "evaluate",
         "Evaluate",
-        ("calibrate", "frames", "associate", "dataset", "finetune"),
+        (catalogue.RIG, catalogue.FRAMES, catalogue.ANNOTATIONS, catalogue.SPLIT, catalogue.WEIGHTS, catalogue.CURVES),
         assets=("labels", "network"),
     ),
-    StageSpec("track", "Track in 7DoF", ("calibrate", "frames", "finetune")),
-    StageSpec("safety", "Find conflicts", ("track",)),
+    StageSpec(
+        "track",
+        "Track in 7DoF",
+        (catalogue.RIG, catalogue.FRAMES, catalogue.WEIGHTS, catalogue.CURVES),
+    ),
+    StageSpec("safety", "Find conflicts", (catalogue.TRACKS,)),
     StageSpec(
         "report",
         "Write the report",
         (
-            "preflight",
-            "sync",
-            "calibrate",
-            "frames",
-            "detect",
-            "associate",
-            "dataset",
-            "lift",
-            "finetune",
-            "evaluate",
-            "track",
-            "safety",
+            catalogue.PROBE,
+            catalogue.CHANGES,
+            catalogue.RIG,
+            catalogue.RESIDUALS,
+            catalogue.FRAMES,
+            catalogue.DETECTION_STATISTICS,
+            catalogue.ANNOTATIONS,
+            catalogue.ASSOCIATION_STATISTICS,
+            catalogue.SPLIT,
+            catalogue.DATASET_STATISTICS,
+            catalogue.LIFT_STATISTICS,
+            catalogue.CURVES,
+            catalogue.METRICS,
+            catalogue.PREDICTIONS_BASELINE,
+            catalogue.PREDICTIONS_FINETUNED,
+            catalogue.TRACKS,
+            catalogue.CONFLICTS,
         ),
-        _everything,
+        site_part=_everything,
         assets=("labels",),
     ),
 )
@@ -163,7 +196,8 @@ def plan(site: Site, config: PipelineConfig, inputs: InputDigests) -> tuple[Plan
         upstream = {name: planned[name].digest for name in spec.requires}
         facts = {
             "stage": spec.name,
-            "code": code_digest(spec.name),
+            "code": code_digest(spec.name, layouts=spec.layouts),
+            "writes": {artifact.name: artifact.version for artifact in spec.writes},
             "options": spec.config(config).model_dump(),
             "site": spec.site_part(site),
             "recordings": dict(inputs.recordings) if spec.reads_recordings else None,
@@ -173,7 +207,7 @@ def plan(site: Site, config: PipelineConfig, inputs: InputDigests) -> tuple[Plan
         digest = _digest_of(facts)
         contents[spec.name] = digest
         if spec.asset_checks:
-            unchecked = {"code": code_digest(spec.name, spec.asset_checks), "assets": {}}
+            unchecked = {"code": code_digest(spec.name, spec.asset_checks, spec.layouts), "assets": {}}
             contents[spec.name] = _digest_of(facts | unchecked)
         planned[spec.name] = PlannedStage(spec.name, digest, MappingProxyType(upstream))
     return tuple(planned.values())

@@ -2,37 +2,33 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Sequence
 
 import numpy as np
 
+from wibam_core.artifacts.catalogue import ANNOTATIONS, FITS, LIFT_STATISTICS, RIG, SPLIT
 from wibam_core.config import LiftConfig
-from wibam_core.dataset.split import SUBSETS, Split
-from wibam_core.formats.annotations import read_annotations
-from wibam_core.formats.rig import read_rig
-from wibam_core.formats.vehicles3d import write_vehicles3d
+from wibam_core.documents.split import SUBSETS, Split
 from wibam_core.lifting.lift import lift
 from wibam_core.scene import AnnotatedInstant, Vehicles3D
 from wibam_core.stages.base import StageContext, Summary
 
 
 def run(context: StageContext, config: LiftConfig) -> Summary:
-    """Write ``lifts.parquet`` (the instants of the split) and ``statistics.json``.
+    """Write `FITS` (at the instants of the split) and `LIFT_STATISTICS`.
 
     More instants are fitted than the split holds, since a denser track tells more of its vehicle; those of the split
     are written, without the vehicles that are left out of their subset.
     """
-    rig = read_rig(context.upstream["calibrate"] / "rig.json")
-    instants = read_annotations(context.upstream["associate"] / "annotations.parquet")
-    split = Split.from_json(json.loads((context.upstream["dataset"] / "split.json").read_text(encoding="utf-8")))
-    result = lift(thinned(instants, split, config.rate_hz), rig, config, context.progress)
-    labels = as_labels(result.vehicles, split)
-    written = {name: sum(len(v) for v in labels if v.time_ns in set(split.times_ns[name])) for name in SUBSETS}
-    statistics = result.statistics | {"written": written}
-    write_vehicles3d(context.output / "lifts.parquet", labels)
-    (context.output / "statistics.json").write_text(json.dumps(statistics, indent=1), encoding="utf-8")
-    return statistics
+    split = context.read(SPLIT)
+    instants = context.read(ANNOTATIONS)
+    result = lift(thinned(instants, split, config.rate_hz), context.read(RIG), config, context.progress)
+    fits = within_split(result.vehicles, split)
+    written = {name: sum(len(v) for v in fits if v.time_ns in set(split.times_ns[name])) for name in SUBSETS}
+    statistics = result.statistics.model_copy(update={"written": written})
+    context.write(FITS, fits)
+    context.write(LIFT_STATISTICS, statistics)
+    return statistics.model_dump(exclude_none=True)
 
 
 def thinned(instants: Sequence[AnnotatedInstant], split: Split, rate_hz: float) -> list[AnnotatedInstant]:
@@ -52,7 +48,7 @@ def thinned(instants: Sequence[AnnotatedInstant], split: Split, rate_hz: float) 
     return kept
 
 
-def as_labels(lifted: Sequence[Vehicles3D], split: Split) -> list[Vehicles3D]:
+def within_split(lifted: Sequence[Vehicles3D], split: Split) -> list[Vehicles3D]:
     """The fits at the instants of the split, without the vehicles that are left out of their subset."""
     subset_of = split.subset_of()
     return [

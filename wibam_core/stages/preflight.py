@@ -2,24 +2,22 @@
 
 from __future__ import annotations
 
-import json
-from dataclasses import asdict
 from pathlib import Path
 
+from wibam_core.artifacts.catalogue import LIMITS, PROBE
 from wibam_core.config import PreflightConfig
+from wibam_core.documents.recordings import Limits, Probe, VideoInfo
 from wibam_core.errors import InputError, InvalidWeights, MissingCamera, NoOverlap, UnreadableVideo
 from wibam_core.formats.labels import read_labels
 from wibam_core.site import SiteCamera
 from wibam_core.stages.base import StageContext, Summary
-from wibam_core.video.probe import VideoInfo, probe
+from wibam_core.video.probe import probe
 
 
 def run(context: StageContext, config: PreflightConfig) -> Summary:
-    """Write ``probe.json`` and ``limits.json``.
+    """Write `PROBE` and `LIMITS`.
 
-    ``probe.json``: camera id -> the fields of `wibam_core.video.probe.VideoInfo`. ``limits.json``: what can only be
-    checked once the clocks are known, ``{"min_overlap_s": ...}``. Labels, and a network of the site's own where the
-    options ask for it, are read and checked, no more.
+    Labels, and a network of the site's own where the options ask for it, are read and checked, no more.
 
     Raises:
         MissingCamera: cameras of the site without a recording.
@@ -48,10 +46,8 @@ def run(context: StageContext, config: PreflightConfig) -> Summary:
                 camera=camera.id,
             )
         infos[camera.id] = info
-    document = {camera_id: asdict(info) for camera_id, info in infos.items()}
-    (context.output / "probe.json").write_text(json.dumps(document, indent=1), encoding="utf-8")
-    limits = {"min_overlap_s": config.min_overlap_s}
-    (context.output / "limits.json").write_text(json.dumps(limits), encoding="utf-8")
+    context.write(PROBE, Probe(cameras=infos))
+    context.write(LIMITS, Limits(min_overlap_s=config.min_overlap_s))
     context.progress(1.0)
     return {
         "cameras": {

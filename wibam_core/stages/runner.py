@@ -9,13 +9,14 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
+from wibam_core.artifacts.access import ArtifactReader
 from wibam_core.config import PipelineConfig
 from wibam_core.errors import MissingCamera, SiteFileError, WibamError
 from wibam_core.progress import Progress
 from wibam_core.site import Site
-from wibam_core.stages.base import StageContext, Summary
-from wibam_core.stages.execute import run_stage
-from wibam_core.stages.graph import STAGES, InputDigests, PlannedStage, plan
+from wibam_core.stages.base import Summary
+from wibam_core.stages.execute import StageRequest, run_stage
+from wibam_core.stages.graph import InputDigests, PlannedStage, plan
 from wibam_core.stages.store import StageStore, sha256_of
 
 #: Names of the optional files of a site folder.
@@ -86,9 +87,9 @@ class StageUpdate:
 
 @dataclass(frozen=True)
 class PipelineResult:
-    """Published folders, summaries and running times (s) by stage."""
+    """What the stages made, and their summaries and running times (s) by stage, in order."""
 
-    folders: Mapping[str, Path]
+    outputs: ArtifactReader
     summaries: Mapping[str, Summary]
     seconds: Mapping[str, float]
 
@@ -132,11 +133,11 @@ def run_pipeline(
                     found = _made(folder, store, config, planned, folders, report, listener)
                     state = "succeeded"
         manifest = store.manifest(name, planned.digest)
-        folders[name], summaries[name], seconds[name] = found, manifest["summary"], manifest["seconds"]
-        listener(StageUpdate(name, state, 1.0, summary=manifest["summary"], seconds=manifest["seconds"]))
+        folders[name], summaries[name], seconds[name] = found, manifest.summary, manifest.seconds
+        listener(StageUpdate(name, state, 1.0, summary=manifest.summary, seconds=manifest.seconds))
         if name == until:
             break
-    return PipelineResult(folders, summaries, seconds)
+    return PipelineResult(ArtifactReader(folders), summaries, seconds)
 
 
 def _made(
@@ -151,19 +152,11 @@ def _made(
     """The published folder of a stage, run on those of the stages before."""
     name = planned.name
     attempt = store.begin(name, planned.digest)
-    context = StageContext(
-        folder.site,
-        folder.recordings,
-        {k: v for k, v in folder.assets.items() if k in STAGES[name].assets_read(config)},
-        {required: folders[required] for required in STAGES[name].requires},
-        attempt.output,
-        attempt.scratch,
-        report,
-    )
+    request = StageRequest.of(attempt, folder.site, config, folder.recordings, folder.assets, folders)
     report(0.0)
     started = time.monotonic()
     try:
-        return store.publish(attempt, run_stage(name, context, config), time.monotonic() - started)
+        return store.publish(attempt, run_stage(request, report), time.monotonic() - started)
     except WibamError as error:
         listener(StageUpdate(name, "failed", message=error.message))
         raise

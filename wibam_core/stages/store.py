@@ -5,7 +5,6 @@ from __future__ import annotations
 import contextlib
 import fcntl
 import hashlib
-import json
 import os
 import re
 import secrets
@@ -14,11 +13,11 @@ import tempfile
 from collections.abc import Callable, Collection, Iterator
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
+from wibam_core.artifacts.access import MANIFEST
+from wibam_core.documents.manifest import FileFacts, Manifest
 from wibam_core.stages.base import Summary
 
-MANIFEST = "manifest.json"
 _ADDRESS = re.compile(r"(\w+)-([0-9a-f]{32})")
 
 
@@ -48,10 +47,9 @@ class StageStore:
         folder = self._folder(stage, digest)
         return folder if (folder / MANIFEST).is_file() else None
 
-    def manifest(self, stage: str, digest: str) -> dict[str, Any]:
-        """``{"stage", "digest", "summary", "seconds", "files": {name: {"bytes", "sha256"}}}`` of a published stage."""
-        manifest: dict[str, Any] = json.loads((self._folder(stage, digest) / MANIFEST).read_bytes())
-        return manifest
+    def manifest(self, stage: str, digest: str) -> Manifest:
+        """What is known about a published stage."""
+        return Manifest.model_validate_json((self._folder(stage, digest) / MANIFEST).read_bytes())
 
     @contextlib.contextmanager
     def turn(self, digest: str, waiting: Callable[[], None]) -> Iterator[None]:
@@ -91,19 +89,14 @@ class StageStore:
         Once it returns, the output would survive a power cut.
         """
         files = {
-            path.relative_to(attempt.output).as_posix(): {"bytes": path.stat().st_size, "sha256": sha256_of(path)}
+            path.relative_to(attempt.output).as_posix(): FileFacts(bytes=path.stat().st_size, sha256=sha256_of(path))
             for path in sorted(attempt.output.rglob("*"))
             if path.is_file()
         }
-        manifest = {
-            "stage": attempt.stage,
-            "digest": attempt.digest,
-            "seconds": round(seconds, 3),
-            "summary": summary,
-            "files": files,
-        }
-        with (attempt.output / MANIFEST).open("w") as file:
-            json.dump(manifest, file, indent=1, allow_nan=False)
+        manifest = Manifest(
+            stage=attempt.stage, digest=attempt.digest, seconds=round(seconds, 3), summary=summary, files=files
+        )
+        (attempt.output / MANIFEST).write_text(manifest.model_dump_json(indent=1), encoding="utf-8")
         for path in (*attempt.output.rglob("*"), attempt.output):
             if path.is_file() or path.is_dir():
                 _sync(path)

@@ -1,8 +1,7 @@
-"""Stage ``sync``: recordings and signal regions to a clock map per camera."""
+"""Recordings and signal regions to a clock map per camera."""
 
 from __future__ import annotations
 
-import json
 import threading
 from collections.abc import Iterable, Iterator, Mapping
 from concurrent.futures import ThreadPoolExecutor
@@ -10,9 +9,11 @@ from concurrent.futures import ThreadPoolExecutor
 import numpy as np
 from numpy.typing import NDArray
 
+from wibam_core.artifacts.catalogue import CHANGES, CLOCKS, PROBE
 from wibam_core.config import SyncConfig
+from wibam_core.documents.synchronisation import Synchronisation
 from wibam_core.errors import MissingCamera, NoSignalChange
-from wibam_core.formats.clocks import write_clocks
+from wibam_core.formats.clocks import Clocks
 from wibam_core.progress import Progress
 from wibam_core.scene import ClockMap, SignalChange
 from wibam_core.site import SiteCamera
@@ -29,22 +30,16 @@ _FRAMES_PER_REPORT = 50
 
 
 def run(context: StageContext, config: SyncConfig) -> Summary:
-    """Write ``clocks.json`` and ``changes.json``.
+    """Write `CLOCKS` and `CHANGES`.
 
     Raises:
         NoSignalChange: naming a camera without a signal region, without a change in view, or without one in common.
         MissingCamera: if a camera has no recording.
     """
     if config.method == "none":
-        write_clocks(context.output / "clocks.json", {camera_id: ClockMap() for camera_id in context.site.camera_ids})
-        document = {
-            "method": "none",
-            "reference": context.site.camera_ids[0],
-            "changes": {},
-            "groups": [],
-            "cameras": {},
-        }
-        (context.output / "changes.json").write_text(json.dumps(document), encoding="utf-8")
+        reference = context.site.camera_ids[0]
+        context.write(CLOCKS, Clocks({camera_id: ClockMap() for camera_id in context.site.camera_ids}))
+        context.write(CHANGES, Synchronisation(method="none", reference=reference, changes={}, groups=[], cameras={}))
         return {"method": "none"}
 
     changes = _detect_all(context)
@@ -53,9 +48,10 @@ def run(context: StageContext, config: SyncConfig) -> Summary:
     }
     result = estimate_clocks(confident, context.site.camera_ids[0], config.max_offset_s)
     document = sync_document(changes, result)
-    write_clocks(context.output / "clocks.json", result.clocks, result.errors)
-    (context.output / "changes.json").write_text(json.dumps(document, indent=1), encoding="utf-8")
-    return {"method": "signals", "matched_changes": len(result.groups), "cameras": document["cameras"]}
+    context.write(CLOCKS, Clocks(result.clocks, result.errors))
+    context.write(CHANGES, document)
+    cameras = {camera_id: clock.model_dump() for camera_id, clock in document.cameras.items()}
+    return {"method": "signals", "matched_changes": len(result.groups), "cameras": cameras}
 
 
 def _detect_all(context: StageContext) -> dict[str, list[SignalChange]]:
@@ -69,8 +65,8 @@ def _detect_all(context: StageContext) -> dict[str, list[SignalChange]]:
             )
         if camera.id not in context.recordings:
             raise MissingCamera(f"there is no recording for camera {camera.id}", camera=camera.id)
-    probe = json.loads((context.upstream["preflight"] / "probe.json").read_bytes())
-    ends_ns = {camera.id: (int(probe[camera.id]["first_ns"]), int(probe[camera.id]["last_ns"])) for camera in cameras}
+    recorded = context.read(PROBE).cameras
+    ends_ns = {camera.id: (recorded[camera.id].first_ns, recorded[camera.id].last_ns) for camera in cameras}
     progress = _SharedProgress(context.progress, ends_ns)
 
     def detect(camera: SiteCamera) -> list[SignalChange]:

@@ -2,17 +2,13 @@
 
 from __future__ import annotations
 
-import json
 from collections import Counter
 from itertools import groupby
 
+from wibam_core.artifacts.catalogue import CURVES, FRAMES, RIG, TRACKS, WEIGHTS
 from wibam_core.config import TrackConfig
 from wibam_core.evaluation.uncertainty import SdFactors
-from wibam_core.formats.framestore import FrameStore
-from wibam_core.formats.rig import read_rig
-from wibam_core.formats.tracks import write_tracks
 from wibam_core.models.stored_frames import stored_frames
-from wibam_core.models.usage import read_decode
 from wibam_core.networks.dla34.architecture import DLA34
 from wibam_core.networks.dla34.centertrack import predict_vehicles
 from wibam_core.networks.small.onnx_network import OnnxNetwork
@@ -24,24 +20,20 @@ from wibam_core.training.device import choose_device_to_detect
 
 
 def run(context: StageContext, config: TrackConfig) -> Summary:
-    """Write ``tracks.parquet``: every vehicle at ``config.rate_hz``, with no track where nothing was seen."""
-    rig = read_rig(context.upstream["calibrate"] / "rig.json")
-    store = FrameStore(context.upstream["frames"])
-    finetune = context.upstream["finetune"]
-    curves = json.loads((finetune / "curves.json").read_text(encoding="utf-8"))
-    decode = read_decode(curves)
-    factors = SdFactors(**curves.get("sd_factors", {}))
+    """Write `TRACKS`: every vehicle at ``config.rate_hz``, with no track where nothing was seen."""
+    rig, store, curves = context.read(RIG), context.read(FRAMES), context.read(CURVES)
+    factors = SdFactors(**curves.sd_factors)
     instants = store.thinned(config.rate_hz)
     frame_times = {instant.time_ns: instant.frame_times_ns for instant in instants}
     total = sum(len(rig.keys() & instant.frame_times_ns.keys()) for instant in instants)
     tracker = Tracker(config)
-    network = load_monocular(finetune / "weights.safetensors")
+    network = load_monocular(context.read(WEIGHTS))
     frames = stored_frames(store, instants, rig)
     if isinstance(network, DLA34):
-        network.to(choose_device_to_detect(curves.get("device", "auto")))
-        found = predict_vehicles(network, frames, decode=decode, min_score=config.min_score)
+        network.to(choose_device_to_detect(curves.device))
+        found = predict_vehicles(network, frames, decode=curves.decode, min_score=config.min_score)
     else:
-        found = predict(OnnxNetwork.of(network), frames, decode=decode, min_score=config.min_score)
+        found = predict(OnnxNetwork.of(network), frames, decode=curves.decode, min_score=config.min_score)
     done = 0
     for time_ns, detections in groupby(found, key=lambda vehicles: vehicles.time_ns):
         of_instant = [factors.apply(vehicles) for vehicles in detections]
@@ -49,6 +41,6 @@ def run(context: StageContext, config: TrackConfig) -> Summary:
         done += len(of_instant)
         context.progress(done / total, f"Tracking: {done} of {total} images")
     tracks = tracker.tracks()
-    write_tracks(context.output / "tracks.parquet", tracks)
+    context.write(TRACKS, tracks)
     classes = Counter(track.vehicle_class.value for track in tracks)
     return {"tracks": len(tracks), "instants": len(instants), "by_class": dict(sorted(classes.items()))}

@@ -1,91 +1,89 @@
-"""``changes.json``: everything that the synchronisation rests on, as JSON types, for figures and for people."""
+"""Everything that the synchronisation rests on, for figures and for people."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import Any
 
+from wibam_core.documents.synchronisation import (
+    Alternative,
+    CameraClock,
+    ChangeGroup,
+    Observation,
+    SeenChange,
+    Synchronisation,
+)
 from wibam_core.scene import SignalChange
 from wibam_core.sync.offsets import SyncResult
 
 
-def sync_document(changes: Mapping[str, Sequence[SignalChange]], result: SyncResult) -> dict[str, Any]:
+def sync_document(changes: Mapping[str, Sequence[SignalChange]], result: SyncResult) -> Synchronisation:
     """All changes, which of them were matched, and how far each camera was from the reference before and after.
 
     Args:
         changes: camera id -> all changes seen, also those that were not used.
         result: what `estimate_clocks` made of the confident ones.
-
-    Returns:
-        ``{"method": "signals", "reference": id,
-        "changes": {id: [{"signal", "before", "after", "time_s", "half_interval_s", "confidence", "matched"}]},
-        "groups": [{"signal", "before", "after", "time_s", "observations": [{"camera", "time_s", "delay_before_s",
-        "delay_after_s", "residual_s"}]}],
-        "cameras": {id: {"offset_s", "offset_sd_s", "drift_ppm", "drift_sd_ppm", "changes", "matched",
-        "rms_before_s", "rms_after_s", "ambiguous", "alternatives": [{"offset_s", "matched"}]}}}``.
-        Changes' ``time_s`` is on the camera's own clock, a group's on the reference clock; delays are against the
-        reference camera and None where it did not see the change.
     """
     matched = {(c, change) for group in result.groups for c, change in group.seen.items()}
-    return {
-        "method": "signals",
-        "reference": result.reference_id,
-        "changes": {
-            camera_id: [{**change_document(c), "matched": (camera_id, c) in matched} for c in seen]
+    return Synchronisation(
+        method="signals",
+        reference=result.reference_id,
+        changes={
+            camera_id: [seen_change(change, (camera_id, change) in matched) for change in seen]
             for camera_id, seen in changes.items()
         },
-        "groups": [
-            {
-                "signal": group.signal_id,
-                "before": group.before,
-                "after": group.after,
-                "time_s": group.time_s,
-                "observations": [
-                    {
-                        "camera": o.camera_id,
-                        "time_s": o.time_s,
-                        "delay_before_s": o.delay_before_s,
-                        "delay_after_s": o.delay_after_s,
-                        "residual_s": o.residual_s,
-                    }
+        groups=[
+            ChangeGroup(
+                signal=group.signal_id,
+                before=group.before,
+                after=group.after,
+                time_s=group.time_s,
+                observations=[
+                    Observation(
+                        camera=o.camera_id,
+                        time_s=o.time_s,
+                        delay_before_s=o.delay_before_s,
+                        delay_after_s=o.delay_after_s,
+                        residual_s=o.residual_s,
+                    )
                     for o in result.observations
                     if o.group == g
                 ],
-            }
+            )
             for g, group in enumerate(result.groups)
         ],
-        "cameras": {camera_id: _camera(camera_id, changes, result) for camera_id in result.clocks},
-    }
+        cameras={camera_id: _camera(camera_id, changes, result) for camera_id in result.clocks},
+    )
 
 
-def change_document(change: SignalChange) -> dict[str, Any]:
+def seen_change(change: SignalChange, matched: bool | None = None) -> SeenChange:
     """One change, its time in s on the camera's own clock."""
-    return {
-        "signal": change.signal_id,
-        "before": change.before,
-        "after": change.after,
-        "time_s": change.time_ns / 1e9,
-        "half_interval_s": change.half_interval_ns / 1e9,
-        "confidence": round(change.confidence, 4),
-    }
+    return SeenChange(
+        signal=change.signal_id,
+        before=change.before,
+        after=change.after,
+        time_s=change.time_ns / 1e9,
+        half_interval_s=change.half_interval_ns / 1e9,
+        confidence=round(change.confidence, 4),
+        matched=matched,
+    )
 
 
-def _camera(camera_id: str, changes: Mapping[str, Sequence[SignalChange]], result: SyncResult) -> dict[str, Any]:
+def _camera(camera_id: str, changes: Mapping[str, Sequence[SignalChange]], result: SyncResult) -> CameraClock:
     clock, error = result.clocks[camera_id], result.errors[camera_id]
     rms_before_s, rms_after_s = result.rms_s(camera_id)
     alignment = result.alignments.get(camera_id)
-    return {
-        "offset_s": clock.offset_ns / 1e9,
-        "offset_sd_s": error.offset_sd_ns / 1e9,
-        "drift_ppm": clock.drift * 1e6,
-        "drift_sd_ppm": error.drift_sd * 1e6,
-        "changes": len(changes.get(camera_id, ())),
-        "matched": sum(camera_id in group.seen for group in result.groups),
-        "rms_before_s": rms_before_s,
-        "rms_after_s": rms_after_s,
-        "ambiguous": alignment is not None and alignment.is_ambiguous,
-        "alternatives": [
-            {"offset_s": offset_s, "matched": matched}
+    return CameraClock(
+        offset_s=clock.offset_ns / 1e9,
+        offset_sd_s=error.offset_sd_ns / 1e9,
+        drift_ppm=clock.drift * 1e6,
+        drift_sd_ppm=error.drift_sd * 1e6,
+        changes=len(changes.get(camera_id, ())),
+        matched=sum(camera_id in group.seen for group in result.groups),
+        rms_before_s=rms_before_s,
+        rms_after_s=rms_after_s,
+        ambiguous=alignment is not None and alignment.is_ambiguous,
+        alternatives=[
+            Alternative(offset_s=offset_s, matched=matched)
             for offset_s, matched in (alignment.alternatives if alignment else ())
         ],
-    }
+    )

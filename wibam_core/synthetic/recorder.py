@@ -25,7 +25,7 @@ import pyarrow.parquet as pq
 from numpy.typing import NDArray
 
 from wibam_core.errors import Conflict
-from wibam_core.formats.clocks import write_clocks
+from wibam_core.formats.clocks import Clocks, write_clocks
 from wibam_core.formats.labels import write_labels
 from wibam_core.formats.rig import write_rig
 from wibam_core.geometry.camera import Camera
@@ -274,7 +274,7 @@ def _write_truth(
     (folder / "options.json").write_text(
         options.model_dump_json(indent=1, exclude={"workers"}) + "\n", encoding="utf-8"
     )
-    write_clocks(folder / "clocks.json", {job.camera_id: job.clock.map_to(jobs[0].clock) for job in jobs})
+    write_clocks(folder / "clocks.json", Clocks({job.camera_id: job.clock.map_to(jobs[0].clock) for job in jobs}))
     write_rig(folder / "rig.json", CameraRig({job.camera_id: job.camera for job in jobs}))
     changes = [change for job, truth in zip(jobs, truths, strict=True) for change in _changes(job, truth)]
     (folder / "changes.json").write_text(json.dumps(changes, indent=1) + "\n", encoding="utf-8")

@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Literal
 
 import torch
 
+from wibam_core.config import DeviceOption as DeviceOption
 from wibam_core.errors import InvalidOption
 
 #: As the option ``finetune.device``.
-DeviceOption = Literal["auto", "cpu", "cuda"]
 
 
 def choose_device(option: DeviceOption, name: str = "finetune.device") -> torch.device:

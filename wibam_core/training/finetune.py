@@ -15,6 +15,7 @@ import torch
 from torch import Tensor, nn
 
 from wibam_core.config import FinetuneConfig
+from wibam_core.documents.curves import Epoch
 from wibam_core.errors import NoMultiViewVehicles, NonFiniteLoss, StageOutOfMemory, TooFewInstants
 from wibam_core.formats.framestore import FrameStore
 from wibam_core.geometry.camera import Camera
@@ -67,16 +68,6 @@ class SiteDataset:
     def input_width_px(self) -> int:
         """How wide the network sees the images."""
         return input_width_of(itertools.chain(self.train, self.validation))
-
-
-@dataclass(frozen=True)
-class Epoch:
-    """Mean losses of one epoch; ``validation`` is empty without validation views."""
-
-    step: int
-    learning_rate: float
-    train: dict[str, float]
-    validation: dict[str, float]
 
 
 @dataclass(frozen=True, eq=False)
@@ -240,7 +231,7 @@ class _Training:
             progress(self.step / config.steps, f"epoch {number} of {count}", loss=parts["total"])
         train = {name: value / (end - first) for name, value in sums.items()}
         validation = self._validate()
-        self._epochs.append(Epoch(self.step, rate, train, validation))
+        self._epochs.append(Epoch(step=self.step, learning_rate=rate, train=train, validation=validation))
         judged = self._ranks.from_first(_judged(self._epochs[-1]))
         self._schedule = self._schedule.after_epoch(judged)
         if not self._ranks.is_first:
@@ -338,7 +329,7 @@ class _Training:
             "optimizer": self._optimizer.state_dict(),
             "scaler": self._scaler.state_dict(),
             "schedule": asdict(self._schedule),
-            "epochs": [asdict(epoch) for epoch in self._epochs],
+            "epochs": [epoch.model_dump() for epoch in self._epochs],
             "best_step": self._best_step,
             "best": self._best_state,
         }

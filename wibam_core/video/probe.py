@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from pathlib import Path
 
 import av
@@ -12,6 +11,7 @@ from av.video.frame import VideoFrame
 from av.video.stream import VideoStream
 from numpy.typing import NDArray
 
+from wibam_core.documents.recordings import VideoInfo
 from wibam_core.errors import UnreadableVideo
 from wibam_core.video.source import ns_from_pts, open_video
 
@@ -21,39 +21,6 @@ _RATE_TOLERANCE = 0.1
 _MAX_HOURS = 48
 #: Timestamps beyond this (ns, from zero either way) are damaged: 100 years.
 _MAX_TIME_NS = 100 * 365 * 86_400 * 10**9
-
-
-@dataclass(frozen=True)
-class VideoInfo:
-    """A recording in figures.
-
-    Attributes:
-        codec: short name, e.g. "h264".
-        container: short name, e.g. "mov" (which MP4 files are, too).
-        width_px, height_px: size as shown, so after rotation.
-        rotation_deg: how far frames are turned counter-clockwise when shown: 0, 90, 180 or 270.
-        fps: usual frame rate: the inverse of the mean interval, gaps aside.
-        frames: number of frames in the file.
-        missing_frames: frames that the file's own index names beyond these: more than 0 where it was cut off.
-        first_ns, last_ns: presentation time of the first and last frame on the recording's own clock.
-        duration_s: from the first frame to the end of the last.
-        largest_gap_s: longest interval between two frames.
-        variable_rate: some intervals differ from the usual one by more than a tenth.
-    """
-
-    codec: str
-    container: str
-    width_px: int
-    height_px: int
-    rotation_deg: int
-    fps: float
-    frames: int
-    missing_frames: int
-    first_ns: int
-    last_ns: int
-    duration_s: float
-    largest_gap_s: float
-    variable_rate: bool
 
 
 def probe(path: Path) -> VideoInfo:

@@ -82,7 +82,7 @@ def test_statistics_count_views_and_what_is_left_over() -> None:
         MultiViewVehicle(0, 0, RoadUserClass.CAR, 0.0, 0.0, {"cam1": 0, "cam2": 1}),
         MultiViewVehicle(1, -1, RoadUserClass.CAR, 9.0, 0.0, {"cam1": 1}),
     )
-    statistics = association_statistics([AnnotatedInstant(0, {"cam1": seen, "cam2": other}, vehicles)])
+    statistics = association_statistics([AnnotatedInstant(0, {"cam1": seen, "cam2": other}, vehicles)]).model_dump()
     assert statistics["by_views"] == {"2": 1}
     assert statistics["single_view"] == 1
     assert statistics["unassociated_share"] == pytest.approx(0.5)

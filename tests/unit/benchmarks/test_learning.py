@@ -18,7 +18,7 @@ from benchmarks.learning_report import by_distance, document, draw, options, rat
 from benchmarks.learning_rows import RowFile, Run, code_version, joined, mean_of, read_rows, versions, write_rows
 from wibam_core.cli.run import parse_options
 from wibam_core.config import FinetuneConfig, PipelineConfig
-from wibam_core.dataset.split import SUBSETS, Split
+from wibam_core.documents.split import SUBSETS, Split
 from wibam_core.scene import Vehicles3D
 
 
@@ -316,7 +316,9 @@ def test_a_share_of_the_footage_is_its_first_and_all_of_it_takes_a_jobs_network(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     times = tuple(range(0, 100, 10))
-    split = Split({"train": times, "val": (), "test": ()}, {part: frozenset({7}) for part in SUBSETS})
+    split = Split(
+        times_ns={"train": times, "val": (), "test": ()}, left_out_tracks={part: frozenset({7}) for part in SUBSETS}
+    )
     fits = [Vehicles3D.of(t, np.ones((2, 7)), np.zeros(2, int), np.array([t, 7]), np.ones(2)) for t in times]
     site: Any = SimpleNamespace(number=11, minutes=2.0, lifts=fits, split=split, usual_decode="refined")
     frames = {"train": [SimpleNamespace(time_ns=t) for t in times], "val": ["val"]}

@@ -16,17 +16,14 @@ from benchmarks.learning_rows import write_rows
 from benchmarks.learning_sites import Site, consistency
 from tests.builders import corner_rig, site_of
 from tests.multiview import Scene, crossing
+from tests.stage_folders import StageFolders
+from wibam_core.artifacts import catalogue
 from wibam_core.config import AssociateConfig, DatasetConfig, FinetuneConfig, LiftConfig
-from wibam_core.dataset.split import SUBSETS, Split
+from wibam_core.documents.split import SUBSETS, Split
 from wibam_core.evaluation.instants import exposure_times
 from wibam_core.evaluation.labels_at import LabelTimeline
-from wibam_core.formats.annotations import write_annotations
-from wibam_core.formats.rig import read_rig, write_rig
-from wibam_core.formats.vehicles3d import read_vehicles3d
-from wibam_core.progress import silent
 from wibam_core.scene import AnnotatedInstant, Detections2D, FrameSet, LabelledInstant, Vehicles3D
 from wibam_core.stages import associate, dataset, lift
-from wibam_core.stages.base import StageContext
 
 RIG = corner_rig(3)
 #: A split of a few seconds.
@@ -57,29 +54,22 @@ def test_a_wrong_clock_is_wrong_by_the_same_at_every_instant_and_the_reference_i
 
 
 @pytest.fixture(scope="module")
-def job(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def job(tmp_path_factory: pytest.TempPathFactory) -> StageFolders:
     """What the stages from detection to the fits leave of a small scene."""
-    root, scene = tmp_path_factory.mktemp("job"), crossing()
-    for name in ("calibrate", "detect", "associate", "dataset", "lift"):
-        (root / name).mkdir()
-    write_rig(root / "calibrate" / "rig.json", scene.rig)
-    write_annotations(root / "detect" / "detections.parquet", scene.unassociated)
-
-    def context(name: str, *requires: str) -> StageContext:
-        upstream = {stage: root / stage for stage in requires}
-        return StageContext(site_of(scene.rig), {}, {}, upstream, root / name, root, silent)
-
-    associate.run(context("associate", "calibrate", "detect"), AssociateConfig())
-    dataset.run(context("dataset", "calibrate", "associate"), SHORT)
-    lift.run(context("lift", "calibrate", "associate", "dataset"), LiftConfig())
-    return root
+    job, scene = StageFolders(tmp_path_factory.mktemp("job")), crossing()
+    job.give(catalogue.RIG, scene.rig)
+    job.give(catalogue.DETECTIONS, scene.unassociated)
+    site = site_of(scene.rig)
+    associate.run(job.context("associate", site), AssociateConfig())
+    dataset.run(job.context("dataset", site), SHORT)
+    lift.run(job.context("lift", site), LiftConfig())
+    return job
 
 
-def test_nothing_disturbed_gives_what_a_job_computes(job: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_nothing_disturbed_gives_what_a_job_computes(job: StageFolders, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(robustness, "DatasetConfig", lambda: SHORT)
-    fits = read_vehicles3d(job / "lift" / "lifts.parquet")
-    rig, stages = read_rig(job / "calibrate" / "rig.json"), {"detect": job / "detect"}
-    site = Site(11, None, None, stages, rig, None, [], [], None, None)  # type: ignore[arg-type]
+    fits = job.read(catalogue.FITS)
+    site = Site(11, None, None, job.reader, job.read(catalogue.RIG), None, [], [], None, None)  # type: ignore[arg-type]
     again = robustness.disturbed(site, "pose_deg", 0.0, 0).lifts
     assert [v.time_ns for v in again] == [v.time_ns for v in fits] and sum(map(len, fits)) > 50
     for ours, theirs in zip(again, fits, strict=True):
@@ -89,17 +79,21 @@ def test_nothing_disturbed_gives_what_a_job_computes(job: Path, monkeypatch: pyt
 
 def test_the_fits_are_thinned_to_the_split_and_a_period() -> None:
     times = [k * 40_000_000 for k in range(20)]
-    split = Split({"train": (0, 280_000_000), "val": (), "test": (600_000_000,)}, dict.fromkeys(SUBSETS, frozenset()))
+    split = Split(
+        times_ns={"train": (0, 280_000_000), "val": (), "test": (600_000_000,)},
+        left_out_tracks=dict.fromkeys(SUBSETS, frozenset()),
+    )
     kept = [instant.time_ns for instant in lift.thinned([AnnotatedInstant(t, {}) for t in times], split, 6.25)]
     assert kept == [k * 40_000_000 for k in (0, 4, 7, 11, 15, 19)]
 
 
 def test_labels_are_without_the_vehicles_that_another_part_keeps() -> None:
     split = Split(
-        {"train": (0,), "val": (), "test": (9,)}, {"train": frozenset({5}), "val": frozenset(), "test": frozenset()}
+        times_ns={"train": (0,), "val": (), "test": (9,)},
+        left_out_tracks={"train": frozenset({5}), "val": frozenset(), "test": frozenset()},
     )
     fits = [Vehicles3D.of(t, np.ones((2, 7)), np.zeros(2, int), np.array([4, 5]), np.ones(2)) for t in (0, 3, 9)]
-    labels = lift.as_labels(fits, split)
+    labels = lift.within_split(fits, split)
     assert {v.time_ns: v.ids.tolist() for v in labels} == {0: [4], 9: [4, 5]}
 
 
@@ -190,7 +184,7 @@ def test_vehicles_have_both_sides() -> None:
     times = tuple(instant.time_ns for instant in scene.instants)
     frames: Any = SimpleNamespace(frame_sets=[FrameSet(t, dict.fromkeys(scene.rig, t)) for t in times])
     labels = LabelTimeline([LabelledInstant(true, {}) for true in scene.truth])
-    split = Split({"train": (), "val": (), "test": times}, dict.fromkeys(SUBSETS, frozenset()))
+    split = Split(times_ns={"train": (), "val": (), "test": times}, left_out_tracks=dict.fromkeys(SUBSETS, frozenset()))
     site = Site(1, None, None, {}, scene.rig, frames, scene.instants, [], split, labels)  # type: ignore[arg-type]
     near, far = (consistency(site, found_at(scene, off_m)) for off_m in (0.2, 1.0))
     assert near["other_views"]["mean"] > far["other_views"]["mean"] + 0.1

@@ -7,18 +7,18 @@ import pytest
 import torch
 
 from tests.builders import corner_rig, look_at, site_of
+from tests.stage_folders import StageFolders
+from wibam_core.artifacts.catalogue import RESIDUALS, RIG
 from wibam_core.calibration.matrices import build_camera, camera_from_matrices, visible_ground
 from wibam_core.calibration.residuals import Residuals, metres_per_pixel
 from wibam_core.calibration.rig import calibrate, check_overlap
 from wibam_core.config import CalibrateConfig
 from wibam_core.errors import CalibrationError, NoOverlap
-from wibam_core.formats.rig import read_rig
 from wibam_core.geometry.ground import intersect_plane
 from wibam_core.geometry.torch_ops import CameraTensors, undistort
 from wibam_core.scene import CameraRig
 from wibam_core.site import Site
 from wibam_core.stages import calibrate as stage
-from wibam_core.stages.base import StageContext
 
 POINTS = np.array(
     [[-6, -5, 0], [6, -6, 0], [-5, 6, 0], [6, 6, 0], [0, 1, 0], [-3, 2, 0], [4, -2, 0], [1, 5, 0]], dtype=float
@@ -235,23 +235,21 @@ def test_zones_count_every_point_once_and_grow_coarser_with_distance():
     camera = look_at((20.0, -12.0, 8.0))
     pixels, _ = camera.project(POINTS)
     document = Residuals.of("pnp", camera, POINTS, pixels + 1.0).document()
-    assert sum(zone["points"] for zone in document["zones"]) == len(POINTS)
-    sizes = [zone["m_per_px"] for zone in document["zones"] if zone["m_per_px"] is not None]
+    assert sum(zone.points for zone in document.zones) == len(POINTS)
+    sizes = [zone.m_per_px for zone in document.zones if zone.m_per_px is not None]
     assert len(sizes) >= 3
     assert sizes == sorted(sizes)
-    assert document["median_px"] == pytest.approx(np.sqrt(2))
-    json.dumps(document, allow_nan=False)
+    assert document.median_px == pytest.approx(np.sqrt(2))
 
 
 def test_stage_writes_rig_and_residuals(tmp_path):
     site = mixed_site(corner_rig(3), noise_px=0.3)
-    context = StageContext(site, {}, {}, {}, tmp_path, tmp_path, lambda *a, **k: None)
-    summary = stage.run(context, CONFIG)
-    rig = read_rig(tmp_path / "rig.json")
-    assert list(rig) == ["cam1", "cam2", "cam3"]
-    documents = json.loads((tmp_path / "residuals.json").read_bytes())
-    assert len(documents["cam2"]["residuals"]) == len(POINTS)
-    assert summary["cameras"]["cam2"]["median_px"] == pytest.approx(documents["cam2"]["median_px"])
+    folders = StageFolders(tmp_path)
+    summary = stage.run(folders.context("calibrate", site), CONFIG)
+    assert list(folders.read(RIG)) == ["cam1", "cam2", "cam3"]
+    residuals = folders.read(RESIDUALS).cameras["cam2"]
+    assert len(residuals.residuals) == len(POINTS)
+    assert summary["cameras"]["cam2"]["median_px"] == pytest.approx(residuals.median_px)
 
 
 @pytest.mark.assets

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from tests.builders import corner_rig
-from wibam_core.dataset.split import Split
 from wibam_core.dataset.statistics import dataset_statistics
+from wibam_core.documents.split import SUBSETS, Split
 from wibam_core.road_users import RoadUserClass
 from wibam_core.scene import AnnotatedInstant, MultiViewVehicle
 
@@ -19,10 +19,10 @@ def test_counts_and_distributions() -> None:
     alone = MultiViewVehicle(2, 6, RoadUserClass.CAR, 0.0, 0.0, {"cam4": 1})
     instants = [AnnotatedInstant(t, {}, (car, bus, alone) if t < 3 else (car,)) for t in range(6)]
     split = Split(
-        {"train": (0, 1, 2), "val": (3,), "test": (5,)},
-        {"train": frozenset({4}), "val": frozenset({4}), "test": frozenset()},
+        times_ns={"train": (0, 1, 2), "val": (3,), "test": (5,)},
+        left_out_tracks={"train": frozenset({4}), "val": frozenset({4}), "test": frozenset()},
     )
-    found = dataset_statistics(instants, rig, split)
+    found = dataset_statistics(instants, rig, split).model_dump()
     json.dumps(found, allow_nan=False)
     train = {k: found["subsets"]["train"][k] for k in ("instants", "vehicles", "boxes", "tracks", "left_out_tracks")}
     assert train == {"instants": 3, "vehicles": 6, "boxes": 15, "tracks": 2, "left_out_tracks": 1}
@@ -39,7 +39,8 @@ def test_counts_and_distributions() -> None:
 
 
 def test_an_empty_set_still_has_histograms() -> None:
-    split = Split({"train": (0,), "val": (1,), "test": (2,)}, dict.fromkeys(("train", "val", "test"), frozenset()))
+    nobody: dict[str, frozenset[int]] = dict.fromkeys(SUBSETS, frozenset())
+    split = Split(times_ns={"train": (0,), "val": (1,), "test": (2,)}, left_out_tracks=nobody)
     found = dataset_statistics([AnnotatedInstant(t, {}) for t in range(3)], corner_rig(), split)
-    assert found["depth_m"]["counts"] == [0]
-    assert found["vehicles_per_instant"]["counts"] == [3]
+    assert found.depth_m.counts == [0]
+    assert found.vehicles_per_instant.counts == [3]

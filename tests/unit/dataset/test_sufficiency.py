@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 
 from tests.site_dataset import tiny_site
-from wibam_core.dataset.split import Split
 from wibam_core.dataset.sufficiency import (
     MIN_VEHICLES,
     footage_s,
@@ -15,6 +14,7 @@ from wibam_core.dataset.sufficiency import (
     taught_vehicles,
     training_sufficiency,
 )
+from wibam_core.documents.split import Split
 from wibam_core.errors import NoMultiViewVehicles
 
 
@@ -55,7 +55,8 @@ def test_vehicles_are_counted_once_and_only_in_the_training_part(tmp_path: Path)
     def split(left_out: frozenset[int], train: tuple[int, ...] = times[:2]) -> Split:
         nobody: frozenset[int] = frozenset()
         return Split(
-            {"train": train, "val": times[2:3], "test": times[3:]}, {"train": left_out, "val": nobody, "test": nobody}
+            times_ns={"train": train, "val": times[2:3], "test": times[3:]},
+            left_out_tracks={"train": left_out, "val": nobody, "test": nobody},
         )
 
     nobody = split(frozenset())

@@ -101,8 +101,8 @@ def test_paper_quirk_yaw_aliases_are_left_out_and_their_share_reported() -> None
     published = run(detected(found), labelled(truth, [1] * 4), "paper_compat")
     assert np.isnan(published.metrics.aoe_deg).sum() == 2
     assert published.alias_share == 0.5 == alias_share(found, truth)
-    assert summarise(published)["aoe_deg"]["mean"] == pytest.approx((10 + 149) / 2)
-    assert summarise(run(detected(found), labelled(truth, [1] * 4)))["aoe_deg"]["mean"] == pytest.approx(122.5)
+    assert summarise(published).aoe_deg.mean == pytest.approx((10 + 149) / 2)
+    assert summarise(run(detected(found), labelled(truth, [1] * 4))).aoe_deg.mean == pytest.approx(122.5)
 
 
 def test_paper_quirk_low_scores_and_long_vehicles_are_dropped() -> None:
@@ -117,8 +117,8 @@ def test_paper_quirk_misses_and_false_positives_are_not_counted() -> None:
     published = run(detected(found), labelled(truth, [1, 1]), "paper_compat")
     assert len(published.matched.vehicle_ids) == 1
     assert len(published.missed.vehicle_ids) == published.false_positives == 0
-    figures = summarise(published)
-    assert "recall" not in figures
+    figures = summarise(published).model_dump()
+    assert figures["recall"] == {"mean": None, "sd": None} and figures["missed"] is figures["precision"] is None
     assert figures["matched"] == 1
 
 
@@ -193,7 +193,7 @@ def test_summary_counts_misses_as_zero_and_gives_recall_over_vehicles() -> None:
     truth = boxes((0, 0), (8, 8))
     labels = [labelled(truth, [1, 1], time_ns=k * 10**9, ids=[7, 9]) for k in range(4)]
     found = [detected(truth if k == 0 else truth[:1], time_ns=k * 10**9) for k in range(4)]
-    figures = summarise(evaluate(found, LabelTimeline(labels), RIG, EvaluateConfig()))
+    figures = summarise(evaluate(found, LabelTimeline(labels), RIG, EvaluateConfig())).model_dump()
     assert (figures["matched"], figures["missed"], figures["false_positives"]) == (5, 3, 0)
     assert figures["recall"]["mean"] == pytest.approx(5 / 8)
     assert figures["recall"]["sd"] == pytest.approx(np.std([1.0, 0.25], ddof=1))
@@ -203,7 +203,7 @@ def test_summary_counts_misses_as_zero_and_gives_recall_over_vehicles() -> None:
 
 
 def test_nothing_matched_gives_none_not_nan() -> None:
-    figures = summarise(run(detected(np.empty((0, 7))), labelled(boxes((0, 0)), [1.0])))
+    figures = summarise(run(detected(np.empty((0, 7))), labelled(boxes((0, 0)), [1.0]))).model_dump()
     assert figures["bev_iou"] == {"mean": None, "sd": None}
     assert figures["recall"]["mean"] == 0
     assert figures["precision"] is None
@@ -213,9 +213,9 @@ def test_bins_hold_every_sighting_once() -> None:
     truth = boxes((-10, 0), (0, 0), (8, 8), (15, -5))
     evaluation = run(detected(truth[:3] + 0.1), labelled(truth, [0.31, 0.5, 0.95, 1.0]), min_visibility=0.3)
     for bins in (by_visibility(evaluation), by_distance(evaluation), by_elevation(evaluation), by_class(evaluation)):
-        assert sum(b["matched"] for b in bins) == 3
-        assert sum(b["missed"] for b in bins) == 1
-    assert [b["low"] for b in by_visibility(evaluation)] == [0.3, 0.9]
+        assert sum(b.matched for b in bins) == 3
+        assert sum(b.missed for b in bins) == 1
+    assert [b.low for b in by_visibility(evaluation)] == [0.3, 0.9]
 
 
 def test_elevation_is_the_angle_between_the_ground_and_the_ray_to_the_vehicle() -> None:
@@ -223,18 +223,18 @@ def test_elevation_is_the_angle_between_the_ground_and_the_ray_to_the_vehicle() 
     truth = boxes((-15, 0), (-5, 0), (16.1, 0))
     evaluation = run(detected(truth), labelled(truth, [1] * 3))
     np.testing.assert_allclose(evaluation.matched.elevation_deg, np.degrees(np.arctan2(7.25, [10, 20, 41.1])))
-    assert [(b["low"], b["high"]) for b in by_elevation(evaluation)] == [(10, 20), (30, None)]
+    assert [(b.low, b.high) for b in by_elevation(evaluation)] == [(10, 20), (30, None)]
     near = run(detected(truth[2:]), labelled(truth[2:], [1.0]), max_range_m=60)
-    assert [(b["low"], b["high"]) for b in by_elevation(near)] == [(10, 20)]
+    assert [(b.low, b.high) for b in by_elevation(near)] == [(10, 20)]
     far = boxes((24, 0))
-    assert by_elevation(run(detected(far), labelled(far, [1.0])))[0]["low"] is None
+    assert by_elevation(run(detected(far), labelled(far, [1.0])))[0].low is None
 
 
 def test_classes_are_the_true_ones() -> None:
     truth = boxes((0, 0), (8, 8), (-9, 4))
     vehicles = Vehicles3D.of(0, truth, classes=np.array([3, 0, 0]), ids=np.arange(3))
     found = by_class(run(detected(truth[:2]), LabelledInstant(vehicles, {"a": np.ones(3)})))
-    assert [(b["class"], b["matched"], b["missed"], b["recall"]) for b in found] == [
+    assert [(b.road_user_class, b.matched, b.missed, b.recall) for b in found] == [
         ("car", 1, 1, 0.5),
         ("bus", 1, 0, 1),
     ]

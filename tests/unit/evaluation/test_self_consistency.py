@@ -27,7 +27,7 @@ def found(offset: float) -> list[Vehicles3D]:
 
 
 def test_true_boxes_agree_in_every_view() -> None:
-    result = self_consistency(found(0.0), [annotate(RIG)], RIG)
+    result = self_consistency(found(0.0), [annotate(RIG)], RIG).model_dump()
     assert result["other_views"]["mean"] == pytest.approx(1)
     assert result["own_view"]["mean"] == pytest.approx(1)
     assert result["found"] == 1
@@ -35,7 +35,7 @@ def test_true_boxes_agree_in_every_view() -> None:
 
 
 def test_a_displaced_box_agrees_less() -> None:
-    near, far = (self_consistency(found(d), [annotate(RIG)], RIG)["other_views"]["mean"] for d in (0.3, 0.9))
+    near, far = (self_consistency(found(d), [annotate(RIG)], RIG).other_views.mean for d in (0.3, 0.9))
     assert far < near < 1
 
 
@@ -44,17 +44,17 @@ def test_a_box_wrong_along_the_ray_fits_its_own_view_but_not_the_others() -> Non
     away = TRUTH.copy()
     away[:, :3] += 0.15 * (away[:, :3] - camera.centre_m)
     away[:, 3:6] *= 1.15
-    result = self_consistency([Vehicles3D.of(0, away, camera_id="cam1")], [annotate(RIG)], RIG)
+    result = self_consistency([Vehicles3D.of(0, away, camera_id="cam1")], [annotate(RIG)], RIG).model_dump()
     assert result["own_view"]["mean"] == pytest.approx(1)
     assert result["other_views"]["mean"] < 0.5
 
 
 def test_without_detections_or_views_there_is_nothing_to_average() -> None:
     empty = [Vehicles3D.of(0, np.empty((0, 7)), camera_id=camera_id) for camera_id in RIG]
-    result = self_consistency(empty, [annotate(RIG)], RIG)
+    result = self_consistency(empty, [annotate(RIG)], RIG).model_dump()
     assert result["found"] == 0
     assert result["other_views"] == {"mean": None, "sd": None}
-    assert self_consistency([], [], RIG)["found"] is None
+    assert self_consistency([], [], RIG).found is None
 
 
 def sighting(time_s: float, x_m: float, y_m: float = 0.0, camera_id: str = "a", track_id: int = 1) -> Agreement:
@@ -87,4 +87,4 @@ def test_predictions_over_time_have_a_roughness() -> None:
         instants.append(AnnotatedInstant(time_ns, detections, one.vehicles))
         sideways = 0.2 * (-1) ** k
         predicted += [Vehicles3D.of(time_ns, TRUTH + [sideways, 0, 0, 0, 0, 0, 0], camera_id=c) for c in RIG]
-    assert self_consistency(predicted, instants, RIG)["roughness_m"]["mean"] == pytest.approx(0.4)
+    assert self_consistency(predicted, instants, RIG).roughness_m.mean == pytest.approx(0.4)

@@ -3,6 +3,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from wibam_core.documents.metrics import Reliability
 from wibam_core.evaluation.reliability import LEVELS, reliability
 from wibam_core.evaluation.uncertainty import (
     FACTOR_LIMITS,
@@ -87,7 +88,8 @@ def test_a_heading_is_never_less_certain_than_not_at_all() -> None:
 
 def test_right_standard_deviations_are_reliable() -> None:
     errors, sd = stated_and_made(SdFactors())
-    for name, of in reliability(errors, sd).items():
+    for name, found in reliability(errors, sd).items():
+        of = found.model_dump()
         assert of["scale_factor"] == pytest.approx(1, rel=0.05), name
         np.testing.assert_allclose(of["coverage"]["laplace"], LEVELS, atol=0.02)
         assert of["calibration_error"]["laplace"] < 0.015
@@ -101,16 +103,16 @@ def test_right_standard_deviations_are_reliable() -> None:
 
 def test_small_standard_deviations_are_too_sure_and_a_factor_mends_that() -> None:
     errors, sd = stated_and_made(FACTORS)
-    before = reliability(errors, sd)["position"]
+    before = reliability(errors, sd)["position"].model_dump()
     assert before["scale_factor"] == pytest.approx(2, rel=0.05)
     assert all(seen < level for seen, level in zip(before["coverage"]["laplace"], LEVELS, strict=True))
-    after = reliability(errors, sd * SdFactors.of(errors, sd).columns())["position"]
+    after = reliability(errors, sd * SdFactors.of(errors, sd).columns())["position"].model_dump()
     assert after["calibration_error"]["laplace"] < 0.2 * before["calibration_error"]["laplace"]
 
 
 def test_what_states_no_standard_deviation_has_no_reliability() -> None:
     errors, _ = stated_and_made(FACTORS, count=50)
-    assert reliability(errors, np.full_like(errors, np.nan)) == {name: {"count": 0} for name in GROUPS}
+    assert reliability(errors, np.full_like(errors, np.nan)) == {name: Reliability(count=0) for name in GROUPS}
     few = reliability(errors[:3], np.full((3, 7), 0.2))["yaw"]
-    assert few["scale_factor"] is None
-    assert len(few["bins"]) == 1
+    assert few.scale_factor is None
+    assert len(few.bins) == 1

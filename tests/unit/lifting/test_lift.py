@@ -174,18 +174,18 @@ def test_what_one_camera_alone_sees_all_the_time_is_lifted_too() -> None:
     assert off.mean() < 0.6
     assert np.median(np.hypot(*found["sd"][:, :2].T)) > 0.5 * np.median(off), "and says how uncertain it is"
     few = lift(alone[:4], scene.rig, LiftConfig())
-    assert few.statistics["fits"] == 0, "too short to tell anything"
-    assert lift(alone[:4], scene.rig, LiftConfig(few_views_sightings=4)).statistics["fits"] > 0, "unless asked to"
+    assert few.statistics.fits == 0, "too short to tell anything"
+    assert lift(alone[:4], scene.rig, LiftConfig(few_views_sightings=4)).statistics.fits > 0, "unless asked to"
     strict = lift(alone, scene.rig, LiftConfig(few_views_sd_m=0.35))
-    assert 0 < strict.statistics["kept"] < len(found["box"]) / 2
+    assert 0 < strict.statistics.kept < len(found["box"]) / 2
     assert max(np.hypot(*vehicles.sd[:, :2].T).max(initial=0.0) for vehicles in strict.vehicles) <= 0.35
 
 
 def test_a_residual_limit_leaves_fits_out() -> None:
     scene = crossing()
     strict = lift(scene.instants, scene.rig, LiftConfig(max_residual=0.04))
-    assert strict.statistics["kept"] == sum(len(v) for v in strict.vehicles)
-    assert strict.statistics["kept"] < lifted(True).statistics["kept"]
+    assert strict.statistics.kept == sum(len(v) for v in strict.vehicles)
+    assert strict.statistics.kept < lifted(True).statistics.kept
 
 
 def test_it_is_deterministic() -> None:
@@ -197,7 +197,7 @@ def test_it_is_deterministic() -> None:
 def test_nothing_to_lift() -> None:
     result = lift([AnnotatedInstant(5, {})], corner_rig(), LiftConfig())
     assert [len(v) for v in result.vehicles] == [0]
-    assert result.statistics["fits"] == 0
+    assert result.statistics.fits == 0
 
 
 def test_errors_that_last_are_told_from_fresh_ones() -> None:
@@ -218,5 +218,5 @@ def test_errors_that_last_are_told_from_fresh_ones() -> None:
         lasting.append(AnnotatedInstant(instant.time_ns, detections, instant.vehicles))
     fresh = lifted(True).statistics
     stale = lift(lasting, scene.rig, LiftConfig()).statistics
-    assert stale["edge_persistence"] > fresh["edge_persistence"] + 0.2
-    assert stale["edge_noise"] > 1.3 * fresh["edge_noise"]
+    assert stale.edge_persistence > fresh.edge_persistence + 0.2
+    assert stale.edge_noise > 1.3 * fresh.edge_noise

@@ -9,6 +9,8 @@ import cv2
 import numpy as np
 
 from tests.builders import corner_rig
+from wibam_core.documents.conflicts import Conflicts
+from wibam_core.documents.metrics import Metrics
 from wibam_core.evaluation.reliability import reliability
 from wibam_core.geometry.box3d import corners
 from wibam_core.geometry.camera import Camera
@@ -27,7 +29,6 @@ from wibam_core.report.data import (
     Synchronisation,
     Training,
 )
-from wibam_core.report.inputs import Conflicts, Metrics
 from wibam_core.report.mosaic import typical_image
 from wibam_core.road_users import RoadUserClass
 from wibam_core.scene import Track
@@ -224,7 +225,8 @@ def reliability_json(factor: float) -> dict[str, Any]:
     """Figures of standard deviations that are too small by a factor, of 800 boxes."""
     rng = np.random.default_rng(0)
     sd = rng.uniform(0.1, 0.6, (800, 7))
-    return reliability(rng.laplace(0, factor * sd / np.sqrt(2)), sd)
+    found = reliability(rng.laplace(0, factor * sd / np.sqrt(2)), sd)
+    return {kind: of.model_dump() for kind, of in found.items()}
 
 
 def conflicts_json() -> dict[str, Any]:

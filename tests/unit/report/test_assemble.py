@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import shutil
 from pathlib import Path
 
@@ -10,28 +9,29 @@ import numpy as np
 import pytest
 
 from tests.builders import corner_rig, site_of
+from tests.stage_folders import StageFolders
 from tests.unit.report.scenes import boxes_at, crossing_traffic, metrics_json
 from tests.unit.report.upstream import annotated, write_upstream
+from wibam_core.artifacts import catalogue
 from wibam_core.config import ReportConfig
-from wibam_core.progress import silent
+from wibam_core.documents.metrics import Metrics
 from wibam_core.report.assemble import assemble
 from wibam_core.report.data import ReportData
 from wibam_core.report.selection import busiest, choose_examples, stretches
 from wibam_core.stages import report
-from wibam_core.stages.base import StageContext
 
 TITLES = {"sync": "Synchronise", "finetune": "Fine-tune", "absent": "Not there"}
 
 
 @pytest.fixture(scope="module")
-def folders(tmp_path_factory) -> tuple[dict[str, Path], Path]:
+def folders(tmp_path_factory) -> tuple[StageFolders, Path]:
     return write_upstream(tmp_path_factory.mktemp("stages"))
 
 
 @pytest.fixture(scope="module")
 def data(folders) -> ReportData:
-    upstream, labels = folders
-    return assemble("Elm Street", upstream, labels, TITLES, examples=3)
+    made, labels = folders
+    return assemble("Elm Street", made.reader, labels, TITLES, examples=3)
 
 
 def test_everything_is_read(data):
@@ -58,11 +58,11 @@ def test_delays_have_the_sign_of_the_offsets(data):
 
 
 def test_examples_are_frames_of_the_test_part_with_their_own_boxes(data, folders):
-    split = json.loads((folders[0]["dataset"] / "split.json").read_text())
+    test = folders[0].read(catalogue.SPLIT).times_ns["test"]
     assert len(data.examples) == 3
     for example in data.examples:
         time_ns = round(example.time_s * 1e9)
-        assert time_ns in split["test"]
+        assert time_ns in test
         assert set(example.images) == {example.camera_id, example.other_id}
         truth, _, _ = boxes_at(crossing_traffic(), time_ns)
         np.testing.assert_allclose(example.labels, truth, atol=1e-9)
@@ -85,21 +85,21 @@ def test_rays_meet_their_vehicles(data):
 
 
 def test_without_labels_nothing_is_labelled(folders, tmp_path):
-    upstream = folders[0] | {"evaluate": tmp_path / "evaluate"}
-    shutil.copytree(folders[0]["evaluate"], upstream["evaluate"])
-    (upstream["evaluate"] / "metrics.json").write_text(json.dumps(metrics_json(labels=False)))
-    found = assemble("Elm Street", upstream, None, TITLES, examples=1)
+    shutil.copytree(folders[0].root, tmp_path, dirs_exist_ok=True)
+    made = StageFolders(tmp_path)
+    made.give(catalogue.METRICS, Metrics.model_validate(metrics_json(labels=False)))
+    found = assemble("Elm Street", made.reader, None, TITLES, examples=1)
     assert found.metrics.finetuned is None and found.examples[0].labels is None
     assert set(found.boxes[0].boxes) == {"baseline", "fine-tuned"}
 
 
 def test_stage_writes_one_page(folders, tmp_path):
-    upstream, labels = folders
-    context = StageContext(site_of(), {}, {"labels": labels}, upstream, tmp_path, tmp_path / "scratch", silent)
+    shutil.copytree(folders[0].root, tmp_path, dirs_exist_ok=True)
+    made = StageFolders(tmp_path)
+    context = made.context("report", site_of(), assets={"labels": folders[1]})
     summary = report.run(context, ReportConfig(examples=2))
-    page = (tmp_path / "report.html").read_text(encoding="utf-8")
+    page = made.read(catalogue.REPORT)
     assert summary == {"bytes": len(page.encode()), "examples": 2}
-    assert [path.name for path in tmp_path.iterdir()] == ["report.html"]
     assert "Find conflicts" in page and "5e5e5e5e5e5e5e5e" in page
 
 

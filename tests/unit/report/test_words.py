@@ -11,11 +11,12 @@ from rich.console import Console
 
 from tests.unit.report.scenes import conflicts_json, crossing_traffic, metrics_json
 from wibam_core.cli.tables import print_tables
+from wibam_core.documents.conflicts import Conflicts
+from wibam_core.documents.metrics import Metrics
 from wibam_core.report.advice import advice
-from wibam_core.report.inputs import Conflicts, Metrics
 from wibam_core.report.page import conflict_cells
 from wibam_core.report.results import compared, result_rows, z_tests
-from wibam_core.report.summary import METRIC_NAMES, summary
+from wibam_core.report.summary import summary
 from wibam_core.report.words import interval
 
 
@@ -156,14 +157,15 @@ def test_interval_without_an_upper_end():
 @pytest.mark.parametrize("labels", [True, False])
 def test_summary_has_the_promised_keys(labels):
     paths = {"weights": Path("w"), "tracks": Path("t"), "report": Path("r")}
-    found = json.loads(json.dumps(summary(metrics_json(labels=labels), {"sync": 1.23456}, 6, 1, paths)))
+    metrics = Metrics.model_validate(metrics_json(labels=labels))
+    found = json.loads(summary(metrics, {"sync": 1.23456}, 6, 1, paths).model_dump_json())
     assert found["tracks"] == 6 and found["conflicts"] == 1 and found["seconds"] == {"sync": 1.235}
     assert found["paths"] == {"weights": "w", "tracks": "t", "report": "r"}
     for name in ("baseline", "finetuned"):
         if not labels:
             assert found[name] is None
             continue
-        assert set(found[name]) == {*METRIC_NAMES, "matched", "missed"}
+        assert set(found[name]) == {"bev_iou", "iou_3d", "ate_m", "ase", "aoe_deg", "recall", "matched", "missed"}
         assert set(found[name]["recall"]) == {"mean", "sd"}
     if labels:
         assert found["finetuned"]["matched"] == 512 and found["finetuned"]["missed"] == 33
@@ -173,7 +175,8 @@ def test_summary_has_the_promised_keys(labels):
 def test_terminal_tables(labels):
     out = io.StringIO()
     console = Console(file=out, width=200, no_color=True)
-    print_tables(console, metrics_json(labels=labels), crossing_traffic(), conflicts_json())
+    metrics, conflicts = metrics_json(labels=labels), conflicts_json()
+    print_tables(console, Metrics.model_validate(metrics), crossing_traffic(), Conflicts.model_validate(conflicts))
     text = out.getvalue()
     assert ("0.72 (0.15)**" in text) == labels
     assert "Tracks: 5 of 6" in text and "Conflicts: 1 of 1" in text and "1.3 (0.9–1.8)" in text

@@ -1,30 +1,31 @@
-"""Folders as the other stages leave them, written with their own code where that is quick."""
+"""What the other stages leave, written with their own code where that is quick."""
 
 from __future__ import annotations
 
-import json
-from dataclasses import asdict
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
 from tests.builders import corner_rig
+from tests.stage_folders import StageFolders
 from tests.unit.report.scenes import boxes_at, crossing_traffic, metrics_json, noisy, paint
+from wibam_core.artifacts import catalogue
 from wibam_core.association.associate import association_statistics
 from wibam_core.calibration.residuals import Residuals
 from wibam_core.config import DatasetConfig, SafetyConfig
 from wibam_core.dataset.split import split_in_time
 from wibam_core.dataset.statistics import dataset_statistics
-from wibam_core.formats.annotations import write_annotations
+from wibam_core.documents.calibration import CalibrationResiduals
+from wibam_core.documents.curves import Curves, Epoch
+from wibam_core.documents.metrics import Metrics
+from wibam_core.documents.recordings import Probe, VideoInfo
+from wibam_core.documents.statistics import DetectionStatistics, LiftStatistics, ResidualPercentiles
 from wibam_core.formats.framestore import FrameStoreWriter
 from wibam_core.formats.labels import write_labels
-from wibam_core.formats.rig import write_rig
-from wibam_core.formats.tracks import write_tracks
-from wibam_core.formats.vehicles3d import write_vehicles3d
 from wibam_core.geometry.projection import project_boxes
 from wibam_core.road_users import CLASSES
 from wibam_core.safety.conflicts import find_conflicts
+from wibam_core.safety.document import conflicts_document
 from wibam_core.scene import (
     AnnotatedInstant,
     CameraRig,
@@ -35,63 +36,45 @@ from wibam_core.scene import (
     Track,
     Vehicles3D,
 )
-from wibam_core.stages.safety import to_json
+from wibam_core.stages.graph import STAGES
 from wibam_core.sync.document import sync_document
 from wibam_core.sync.offsets import estimate_clocks
-from wibam_core.training.finetune import Epoch
-from wibam_core.video.probe import VideoInfo
 
-STAGES = (
-    "preflight",
-    "sync",
-    "calibrate",
-    "frames",
-    "detect",
-    "associate",
-    "dataset",
-    "lift",
-    "finetune",
-    "evaluate",
-    "track",
-    "safety",
-)
 _OFFSETS_S = (0.0, 0.4, -0.7, 1.1)
 
 
-def write_upstream(root: Path) -> tuple[dict[str, Path], Path]:
-    """All stages' folders of a painted crossroads, and its labels."""
-    folders = {stage: root / stage for stage in STAGES}
-    for stage, folder in folders.items():
-        folder.mkdir(parents=True)
-        _json(
-            folder / "manifest.json", {"stage": stage, "digest": "5e" * 32, "seconds": 1.5, "summary": {}, "files": {}}
-        )
+def write_upstream(root: Path) -> tuple[StageFolders, Path]:
+    """What all stages make of a painted crossroads, and its labels."""
+    made = StageFolders(root)
+    for stage in STAGES:
+        made.seal(stage)
     rig, tracks = corner_rig(4), crossing_traffic()
     instants = [annotated(rig, tracks, int(t)) for t in sorted({int(t) for track in tracks for t in track.times_ns})]
-    _write_cameras(folders, rig)
-    _write_changes(folders["sync"], tuple(rig))
+    _give_cameras(made, rig)
+    _give_changes(made, tuple(rig))
     small = {camera_id: camera.resized(320, 180) for camera_id, camera in rig.items()}
-    with FrameStoreWriter(folders["frames"], 90) as store:
+    with FrameStoreWriter(made.place(catalogue.FRAMES), 90) as store:
         for instant in instants:
             boxes, _, _ = boxes_at(tracks, instant.time_ns)
             for camera_id, camera in small.items():
                 store.add(camera_id, instant.time_ns, instant.time_ns, paint(camera, boxes))
         store.close(dict.fromkeys(rig, (640, 360)))
-    write_annotations(folders["associate"] / "annotations.parquet", instants)
-    _json(folders["associate"] / "statistics.json", association_statistics(instants))
+    made.give(catalogue.ANNOTATIONS, instants)
+    association = association_statistics(instants)
+    made.give(catalogue.ASSOCIATION_STATISTICS, association)
+    counts = DetectionStatistics(frames=100, boxes=association.boxes, boxes_by_camera={}, boxes_by_class={})
+    made.give(catalogue.DETECTION_STATISTICS, counts)
     split = split_in_time(instants, DatasetConfig(train_share=0.4, val_share=0.2, gap_s=0.4))
-    _json(folders["dataset"] / "split.json", split.to_json())
-    _json(folders["dataset"] / "statistics.json", dataset_statistics(instants, rig, split))
-    _write_learning(folders)
-    _json(folders["evaluate"] / "metrics.json", metrics_json())
-    for name, scale in (("baseline", 1.0), ("finetuned", 0.25)):
-        found = [predicted(rig, c, tracks, time, scale) for time in split.times_ns["test"] for c in rig]
-        write_vehicles3d(folders["evaluate"] / f"predictions_{name}.parquet", found)
-    write_tracks(folders["track"] / "tracks.parquet", tracks)
+    made.give(catalogue.SPLIT, split)
+    made.give(catalogue.DATASET_STATISTICS, dataset_statistics(instants, rig, split))
+    _give_learning(made)
+    made.give(catalogue.METRICS, Metrics.model_validate(metrics_json()))
+    for artifact, scale in ((catalogue.PREDICTIONS_BASELINE, 1.0), (catalogue.PREDICTIONS_FINETUNED, 0.25)):
+        made.give(artifact, [predicted(rig, c, tracks, time, scale) for time in split.times_ns["test"] for c in rig])
+    made.give(catalogue.TRACKS, tracks)
     config = SafetyConfig()
-    conflicts = [to_json(number, conflict) for number, conflict in enumerate(find_conflicts(tracks, config))]
-    _json(folders["safety"] / "conflicts.json", {"thresholds": config.model_dump(), "conflicts": conflicts})
-    return folders, _write_labels(root, rig, tracks)
+    made.give(catalogue.CONFLICTS, conflicts_document(find_conflicts(tracks, config), config))
+    return made, _write_labels(root, rig, tracks)
 
 
 def annotated(rig: CameraRig, tracks: list[Track], time_ns: int) -> AnnotatedInstant:
@@ -124,12 +107,12 @@ def predicted(rig: CameraRig, camera_id: str, tracks: list[Track], time_ns: int,
     )
 
 
-def _write_cameras(folders: dict[str, Path], rig: CameraRig) -> None:
-    write_rig(folders["calibrate"] / "rig.json", rig)
+def _give_cameras(made: StageFolders, rig: CameraRig) -> None:
+    made.give(catalogue.RIG, rig)
     world = np.array([[x, y, 0.0] for x in (-4.0, 0.0, 4.0) for y in (-4.0, 0.0, 4.0)])
     pixels = {camera_id: camera.project(world)[0] + 0.5 for camera_id, camera in rig.items()}
-    documents = {c: Residuals.of("pnp", camera, world, pixels[c]).document() for c, camera in rig.items()}
-    _json(folders["calibrate"] / "residuals.json", documents)
+    residuals = {c: Residuals.of("pnp", camera, world, pixels[c]).document() for c, camera in rig.items()}
+    made.give(catalogue.RESIDUALS, CalibrationResiduals(cameras=residuals))
     info = VideoInfo(
         codec="h264",
         container="mov",
@@ -145,10 +128,10 @@ def _write_cameras(folders: dict[str, Path], rig: CameraRig) -> None:
         missing_frames=0,
         variable_rate=False,
     )
-    _json(folders["preflight"] / "probe.json", dict.fromkeys(rig, asdict(info)))
+    made.give(catalogue.PROBE, Probe(cameras=dict.fromkeys(rig, info)))
 
 
-def _write_changes(folder: Path, camera_ids: tuple[str, ...]) -> None:
+def _give_changes(made: StageFolders, camera_ids: tuple[str, ...]) -> None:
     """Light changes without a rhythm, so that every camera's offset is plain."""
     states = ("green", "amber", "red")
     times = np.cumsum(np.random.default_rng(0).uniform(5, 30, 12))
@@ -166,17 +149,33 @@ def _write_changes(folder: Path, camera_ids: tuple[str, ...]) -> None:
         ]
         for camera_id, offset in zip(camera_ids, _OFFSETS_S, strict=True)
     }
-    _json(folder / "changes.json", sync_document(changes, estimate_clocks(changes, camera_ids[0])))
+    made.give(catalogue.CHANGES, sync_document(changes, estimate_clocks(changes, camera_ids[0])))
 
 
-def _write_learning(folders: dict[str, Path]) -> None:
-    _json(folders["lift"] / "statistics.json", {"fits": 120, "kept": 90, "tracks": 6, "residual": {"p50": 0.05}})
+def _give_learning(made: StageFolders) -> None:
+    residual = ResidualPercentiles(p10=0.01, p50=0.05, p90=0.2)
+    made.give(catalogue.LIFT_STATISTICS, LiftStatistics(fits=120, kept=90, tracks=6, residual=residual))
     epochs = [
-        Epoch(50 * k, 1e-3, {"heatmap": 1 / k, "size": 0.5 / k, "total": 1.5 / k}, {"total": 1.7 / k})
+        Epoch(
+            step=50 * k,
+            learning_rate=1e-3,
+            train={"heatmap": 1 / k, "size": 0.5 / k, "total": 1.5 / k},
+            validation={"total": 1.7 / k},
+        )
         for k in (1, 2, 3)
     ]
-    curves = {"method": "lifted", "decode": "plane", "input_width_px": 704, "kept": "last", "kept_step": 150}
-    _json(folders["finetune"] / "curves.json", curves | {"epochs": [asdict(epoch) for epoch in epochs]})
+    curves = Curves(
+        method="lifted",
+        decode="plane",
+        network="small",
+        device="auto",
+        sd_factors={},
+        input_width_px=704,
+        kept="last",
+        kept_step=150,
+        epochs=epochs,
+    )
+    made.give(catalogue.CURVES, curves)
 
 
 def _write_labels(root: Path, rig: CameraRig, tracks: list[Track]) -> Path:
@@ -187,7 +186,3 @@ def _write_labels(root: Path, rig: CameraRig, tracks: list[Track]) -> Path:
         labelled.append(LabelledInstant(Vehicles3D.of(time_ns, boxes, classes, ids), visibility))
     write_labels(root / "labels.parquet", labelled)
     return root / "labels.parquet"
-
-
-def _json(path: Path, document: Any) -> None:
-    path.write_text(json.dumps(document, allow_nan=False), encoding="utf-8")

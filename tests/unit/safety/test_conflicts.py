@@ -6,9 +6,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from tests.stage_folders import StageFolders
+from wibam_core.artifacts.catalogue import CONFLICTS, TRACKS
 from wibam_core.config import SafetyConfig
-from wibam_core.formats.tracks import write_tracks
-from wibam_core.progress import silent
 from wibam_core.road_users import RoadUserClass
 from wibam_core.safety.conflicts import ConflictType, find_conflicts
 from wibam_core.safety.drac import deceleration_to_avoid
@@ -17,7 +17,6 @@ from wibam_core.safety.turning import TurningStates
 from wibam_core.scene import Track
 from wibam_core.site import Site
 from wibam_core.stages import safety as stage
-from wibam_core.stages.base import StageContext
 
 RATE_HZ = 6.25
 CONFIG = SafetyConfig()
@@ -219,15 +218,10 @@ def test_deceleration_to_avoid() -> None:
 
 
 def test_the_stage_writes_conflicts_as_json(tmp_path: Path) -> None:
-    (tmp_path / "track").mkdir()
-    write_tracks(
-        tmp_path / "track" / "tracks.parquet",
-        [straight(4, (0, -20), np.pi / 2, 10, seconds=5), straight(2, (-31, 0), 0.0, 10, seconds=5)],
-    )
-    site = Site.model_construct(name="s", cameras=())
-    context = StageContext(site, {}, {}, {"track": tmp_path / "track"}, tmp_path, tmp_path, silent)
-    summary = stage.run(context, CONFIG)
-    written = json.loads((tmp_path / "conflicts.json").read_text())
+    folders = StageFolders(tmp_path)
+    folders.give(TRACKS, [straight(4, (0, -20), np.pi / 2, 10, seconds=5), straight(2, (-31, 0), 0.0, 10, seconds=5)])
+    summary = stage.run(folders.context("safety", Site.model_construct(name="s", cameras=())), CONFIG)
+    written = json.loads(folders.place(CONFLICTS).read_text())
     assert summary["conflicts"] == len(written["conflicts"]) == 1
     assert written["conflicts"][0]["type"] == "crossing"
     assert written["conflicts"][0]["pet_s"] == pytest.approx(0.5, abs=0.01)

@@ -1,8 +1,6 @@
 """A site's own CenterTrack weights: where fine-tuning starts, what evaluation compares with, what tracks."""
 
-import json
 from collections.abc import Iterable, Iterator
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -13,21 +11,18 @@ from safetensors.torch import load_file, save_file
 
 from tests.builders import site_of
 from tests.site_dataset import tiny_rig, tiny_site
+from tests.stage_folders import StageFolders
+from wibam_core.artifacts import catalogue
 from wibam_core.config import EvaluateConfig, FinetuneConfig, PipelineConfig, PreflightConfig, TrackConfig
-from wibam_core.dataset.split import Split
+from wibam_core.documents.split import Split
 from wibam_core.errors import InputError, InvalidOption, InvalidWeights, UnreadableVideo
-from wibam_core.formats.annotations import write_annotations
-from wibam_core.formats.rig import write_rig
-from wibam_core.formats.vehicles3d import write_vehicles3d
 from wibam_core.models.frames import Frame
 from wibam_core.networks.dla34 import train as dla34
 from wibam_core.networks.dla34.architecture import DLA34
 from wibam_core.networks.small.architecture import SmallNetwork
 from wibam_core.networks.weights import centertrack_metadata, load_centertrack, save_network, usage_of
-from wibam_core.progress import silent
 from wibam_core.scene import Vehicles3D
 from wibam_core.stages import evaluate, finetune, preflight, track
-from wibam_core.stages.base import StageContext
 from wibam_core.stages.graph import InputDigests, plan
 from wibam_core.stages.runner import SiteFolder, StageUpdate, run_pipeline
 from wibam_core.stages.store import StageStore
@@ -50,32 +45,31 @@ def weights(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.fixture
-def context(tmp_path: Path, weights: Path) -> StageContext:
-    upstream = {name: tmp_path / name for name in ("calibrate", "frames", "associate", "dataset", "lift")}
-    for path in (*upstream.values(), tmp_path / "finetune", tmp_path / "scratch"):
-        path.mkdir()
-    site = tiny_site(upstream["frames"])
-    write_rig(upstream["calibrate"] / "rig.json", site.rig)
-    write_annotations(upstream["associate"] / "annotations.parquet", site.instants)
-    write_vehicles3d(upstream["lift"] / "lifts.parquet", site.lifts)
+def folders(tmp_path: Path) -> StageFolders:
+    folders = StageFolders(tmp_path)
+    site = tiny_site(folders.place(catalogue.FRAMES))
+    folders.give(catalogue.RIG, site.rig)
+    folders.give(catalogue.ANNOTATIONS, site.instants)
+    folders.give(catalogue.FITS, site.lifts)
     times = tuple(instant.time_ns for instant in site.instants)
     nobody: dict[str, frozenset[int]] = dict.fromkeys(("train", "val", "test"), frozenset())
-    split = Split({"train": times[:2], "val": times[2:3], "test": times[3:]}, nobody)
-    (upstream["dataset"] / "split.json").write_text(json.dumps(split.to_json()))
-    return StageContext(
-        site_of(tiny_rig()), {}, {"network": weights}, upstream, tmp_path / "finetune", tmp_path / "scratch", silent
-    )
+    split = Split(times_ns={"train": times[:2], "val": times[2:3], "test": times[3:]}, left_out_tracks=nobody)
+    folders.give(catalogue.SPLIT, split)
+    return folders
 
 
-def test_it_is_fine_tuned_compared_and_tracked_with(context: StageContext, monkeypatch: pytest.MonkeyPatch) -> None:
-    finetune.run(context, CUSTOM)
-    tuned = context.output / "weights.safetensors"
-    after, before = load_centertrack(tuned), load_centertrack(context.assets["network"])
+def test_it_is_fine_tuned_compared_and_tracked_with(
+    folders: StageFolders, weights: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    site, assets = site_of(tiny_rig()), {"network": weights}
+    finetune.run(folders.context("finetune", site, assets=assets), CUSTOM)
+    tuned = folders.read(catalogue.WEIGHTS)
+    after, before = load_centertrack(tuned), load_centertrack(weights)
     assert not torch.equal(after.hm[2].bias, before.hm[2].bias)
     with safetensors.safe_open(str(tuned), "pt") as file:
         assert {"licence": "for trying out", "source_name": "theirs.pth"}.items() <= file.metadata().items()
     assert usage_of(tuned).decode == "plane"
-    assert json.loads((context.output / "curves.json").read_text())["network"] == "custom"
+    assert folders.read(catalogue.CURVES).network == "custom"
 
     used: list[tuple[float, tuple[str, ...]]] = []
 
@@ -90,29 +84,27 @@ def test_it_is_fine_tuned_compared_and_tracked_with(context: StageContext, monke
     def nothing(network: DLA34, frames: Iterable[Frame], *, min_score: float, decode: str) -> Iterator[Vehicles3D]:
         return (found for (found,) in nothing_each(network, frames, min_score=min_score, decodes=(decode,)))
 
-    trained_elsewhere = json.loads((context.output / "curves.json").read_text()) | {"device": "cuda"}
-    (context.output / "curves.json").write_text(json.dumps(trained_elsewhere))
+    folders.give(catalogue.CURVES, folders.read(catalogue.CURVES).model_copy(update={"device": "cuda"}))
     monkeypatch.setattr(torch.cuda, "is_available", lambda: False)
     monkeypatch.setattr(evaluate, "predict_vehicles_each", nothing_each)
     monkeypatch.setattr(track, "predict_vehicles", nothing)
-    later = replace(context, upstream={**context.upstream, "finetune": context.output}, output=context.scratch)
-    evaluate.run(later, EvaluateConfig())
+    evaluate.run(folders.context("evaluate", site, assets=assets), EvaluateConfig())
     start, end = (float(one.hm[2].bias[0].detach()) for one in (before, after))
     assert used == [(start, ("plane", "depth")), (end, ("plane",))]
-    track.run(later, TrackConfig())
+    track.run(folders.context("track", site), TrackConfig())
     assert used[2:] == [(end, ("plane",))]
 
 
-def test_what_cannot_be_used_is_refused_before_anything_is_read(context: StageContext, tmp_path: Path) -> None:
+def test_what_cannot_be_used_is_refused_before_anything_is_read(tmp_path: Path, weights: Path) -> None:
     def refused(error: type[Exception], said: str, config: FinetuneConfig = CUSTOM, **assets: Path) -> None:
-        nowhere: dict[str, Path] = {}
+        nothing = StageFolders(tmp_path / "nothing")
         with pytest.raises(error, match=said):
-            finetune.run(replace(context, assets=assets, upstream=nowhere), config)
+            finetune.run(nothing.context("finetune", site_of(tiny_rig()), assets=assets), config)
 
     refused(InputError, "the site has no network")
     save_network(SmallNetwork(), tmp_path / "small")
     refused(InvalidWeights, "family is 'wibam-small', not 'centertrack-dla34'", network=tmp_path / "small")
-    changed: dict[str, Any] = load_file(str(context.assets["network"]))
+    changed: dict[str, Any] = load_file(str(weights))
     changed["dep.2.bias"] = torch.zeros(2)
     save_file(changed, str(tmp_path / "changed"), metadata=centertrack_metadata())
     refused(InvalidWeights, r"tensor dep.2.bias has shape \(2,\), not \(1,\)", network=tmp_path / "changed")
@@ -150,15 +142,16 @@ def test_one_that_cannot_be_used_is_refused_by_the_first_stage(tmp_path: Path) -
         run_pipeline(folder, StageStore(tmp_path / "store"), PipelineConfig())
 
 
-def test_preflight_names_the_first_tensor_that_does_not_fit(context: StageContext, tmp_path: Path) -> None:
-    changed: dict[str, Any] = load_file(str(context.assets["network"]))
+def test_preflight_names_the_first_tensor_that_does_not_fit(tmp_path: Path, weights: Path) -> None:
+    changed: dict[str, Any] = load_file(str(weights))
     del changed["dep.2.bias"]
     save_file(changed, str(tmp_path / "changed"), metadata=centertrack_metadata())
-    there = dict.fromkeys(context.site.camera_ids, tmp_path / "changed")
+    site, folders = site_of(tiny_rig()), StageFolders(tmp_path / "stages")
+    there = dict.fromkeys(site.camera_ids, tmp_path / "changed")
     with pytest.raises(InvalidWeights, match=r"the site's network: changed lacks the tensor dep\.2\.bias"):
-        preflight.run(replace(context, recordings=there, assets={"network": tmp_path / "changed"}), PreflightConfig())
+        preflight.run(folders.context("preflight", site, there, {"network": tmp_path / "changed"}), PreflightConfig())
     with pytest.raises(UnreadableVideo):  # its own is in order
-        preflight.run(replace(context, recordings=there), PreflightConfig())
+        preflight.run(folders.context("preflight", site, there, {"network": weights}), PreflightConfig())
 
 
 def test_a_device_that_is_not_there_is_refused_before_the_first_stage(

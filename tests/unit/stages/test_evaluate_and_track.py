@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -13,24 +12,24 @@ import pytest
 import torch
 
 from tests.builders import corner_rig, site_of
+from tests.stage_folders import StageFolders
+from wibam_core.artifacts import catalogue
 from wibam_core.config import EvaluateConfig, TrackConfig
+from wibam_core.documents.curves import Curves
+from wibam_core.documents.metrics import Metrics, Reliability
+from wibam_core.documents.split import SUBSETS, Split
 from wibam_core.errors import TooFewInstants
 from wibam_core.evaluation.metrics import METRICS
-from wibam_core.formats.annotations import write_annotations
 from wibam_core.formats.framestore import FrameStoreWriter
 from wibam_core.formats.labels import write_labels
-from wibam_core.formats.rig import write_rig
-from wibam_core.formats.tracks import read_tracks
-from wibam_core.formats.vehicles3d import read_vehicles3d
 from wibam_core.geometry.projection import project_boxes
 from wibam_core.models.frames import Frame
 from wibam_core.networks.small.architecture import SmallNetwork
 from wibam_core.networks.weights import save_network
-from wibam_core.progress import silent
 from wibam_core.road_users import RoadUserClass
-from wibam_core.scene import AnnotatedInstant, Detections2D, LabelledInstant, MultiViewVehicle, Vehicles3D
+from wibam_core.scene import AnnotatedInstant, Detections2D, LabelledInstant, MultiViewVehicle, Track, Vehicles3D
 from wibam_core.stages import evaluate, track
-from wibam_core.stages.base import StageContext
+from wibam_core.stages.base import Summary
 
 RIG = corner_rig(2)
 PERIOD_NS = 80_000_000
@@ -67,13 +66,40 @@ def each(predict: Callable[..., Iterator[Vehicles3D]]) -> Callable[..., Iterator
     return placed
 
 
+#: What fine-tuning said of a network that is placed by the plane.
+CURVES = Curves(
+    method="lifted", decode="plane", network="small", device="auto", sd_factors={}, kept="last", kept_step=1, epochs=[]
+)
+
+
+class Job(StageFolders):
+    """The stages up to fine-tuning, and the hand labels."""
+
+    labels: Path | None
+
+    def evaluate(self) -> tuple[Summary, Metrics]:
+        assets = {} if self.labels is None else {"labels": self.labels}
+        summary = evaluate.run(self.context("evaluate", site_of(RIG), assets=assets), EvaluateConfig())
+        return summary, self.read(catalogue.METRICS)
+
+    def track(self, **options: float) -> tuple[Summary, list[Track]]:
+        summary = track.run(self.context("track", site_of(RIG)), TrackConfig(**options))
+        return summary, self.read(catalogue.TRACKS)
+
+    def split(self, train: Sequence[int], test: Sequence[int]) -> None:
+        nobody: dict[str, frozenset[int]] = dict.fromkeys(SUBSETS, frozenset())
+        times: dict[str, tuple[int, ...]] = {"train": tuple(train), "val": (), "test": tuple(test)}
+        self.give(catalogue.SPLIT, Split(times_ns=times, left_out_tracks=nobody))
+
+    def curves(self, **changes: Any) -> None:
+        self.give(catalogue.CURVES, CURVES.model_copy(update=changes))
+
+
 @pytest.fixture
-def context(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> StageContext:
-    folders = {name: tmp_path / name for name in ("calibrate", "frames", "associate", "dataset", "finetune", "out")}
-    for folder in folders.values():
-        folder.mkdir()
-    write_rig(folders["calibrate"] / "rig.json", RIG)
-    writer = FrameStoreWriter(folders["frames"], 95)
+def job(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Job:
+    job = Job(tmp_path)
+    job.give(catalogue.RIG, RIG)
+    writer = FrameStoreWriter(job.place(catalogue.FRAMES), 95)
     for k, time in enumerate(INSTANTS):
         for camera_id in RIG:
             writer.add(camera_id, time, time + LATE_NS[camera_id], np.full((36, 64, 3), 9 * k, np.uint8))
@@ -86,13 +112,13 @@ def context(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> StageContext:
         }
         vehicles = tuple(MultiViewVehicle(i, i, RoadUserClass.CAR, 0.0, 0.0, dict.fromkeys(RIG, i)) for i in range(2))
         annotated.append(AnnotatedInstant(time, detections, vehicles))
-    write_annotations(folders["associate"] / "annotations.parquet", annotated)
-    (folders["dataset"] / "split.json").write_text(json.dumps({"train": INSTANTS[:10], "val": [], "test": TEST}))
-    save_network(SmallNetwork(), folders["finetune"] / "weights.safetensors")
-    (folders["finetune"] / "curves.json").write_text(json.dumps({"decode": "plane"}))
-    labels = tmp_path / "labels"  # without a suffix, as an uploaded file may be stored
+    job.give(catalogue.ANNOTATIONS, annotated)
+    job.split(INSTANTS[:10], TEST)
+    save_network(SmallNetwork(), job.place(catalogue.WEIGHTS))
+    job.curves()
+    job.labels = tmp_path / "labels"  # without a suffix, as an uploaded file may be stored
     write_labels(
-        labels,
+        job.labels,
         [
             LabelledInstant(Vehicles3D.of(time, truth(time), ids=np.array([1, 2])), {id_: np.ones(2) for id_ in RIG})
             for time in [*INSTANTS, INSTANTS[-1] + PERIOD_NS]
@@ -100,47 +126,49 @@ def context(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> StageContext:
     )
     monkeypatch.setattr(evaluate, "predict_each", each(oracle))
     monkeypatch.setattr(track, "predict", oracle)
-    upstream = {name: folder for name, folder in folders.items() if name != "out"}
-    return StageContext(site_of(RIG), {}, {"labels": labels}, upstream, folders["out"], tmp_path, silent)
+    return job
 
 
-def test_frames_are_compared_with_labels_at_the_time_they_were_exposed(context: StageContext) -> None:
-    summary = evaluate.run(context, EvaluateConfig())
-    metrics = json.loads((context.output / "metrics.json").read_text())
-    for name in ("baseline", "finetuned"):
-        assert metrics[name]["ate_m"]["mean"] == pytest.approx(0, abs=1e-6)
-        assert metrics[name]["bev_iou"]["mean"] == pytest.approx(1)
-        assert metrics[name]["recall"]["mean"] == 1
-        assert (metrics[name]["matched"], metrics[name]["missed"]) == (2 * len(TEST) * 2, 0)
-    assert metrics["baseline_depth"]["ase"]["mean"] == pytest.approx(1 - 1 / 1.1)
-    assert "baseline_plane" not in metrics  # it is the baseline: the fine-tuned network's boxes are placed so
-    assert metrics["labels"] == summary["labels"] == "hand"
-    assert metrics["paper_compat"]["finetuned"]["iou_3d"]["mean"] == pytest.approx(0.75)
-    assert set(metrics["significance"]) == set(METRICS)
-    for by in ("by_visibility", "by_distance", "by_elevation", "by_class"):
-        assert sum(part["matched"] for part in metrics[by]["finetuned"]) == 2 * len(TEST) * 2, by
-    assert metrics["reliability"]["finetuned"]["yaw"] == {"count": 0}  # the oracle states no standard deviations
+def test_frames_are_compared_with_labels_at_the_time_they_were_exposed(job: Job) -> None:
+    summary, metrics = job.evaluate()
+    for figures in (metrics.baseline, metrics.finetuned):
+        assert figures is not None
+        assert figures.ate_m.mean == pytest.approx(0, abs=1e-6)
+        assert figures.bev_iou.mean == pytest.approx(1)
+        assert figures.recall.mean == 1
+        assert (figures.matched, figures.missed) == (2 * len(TEST) * 2, 0)
+    assert metrics.baseline_depth is not None
+    assert metrics.baseline_depth.ase.mean == pytest.approx(1 - 1 / 1.1)
+    assert metrics.baseline_plane is None  # it is the baseline: the fine-tuned network's boxes are placed so
+    assert metrics.labels == summary["labels"] == "hand"
+    assert metrics.paper_compat is not None and metrics.significance is not None and metrics.reliability is not None
+    assert metrics.paper_compat["finetuned"].iou_3d.mean == pytest.approx(0.75)
+    assert set(metrics.significance) == set(METRICS)
+    for by in (metrics.by_visibility, metrics.by_distance, metrics.by_elevation, metrics.by_class):
+        assert by is not None
+        assert sum(part.matched for part in by["finetuned"]) == 2 * len(TEST) * 2
+    assert metrics.reliability["finetuned"]["yaw"] == Reliability(count=0)  # the oracle states no standard deviations
     # the other view's box was not moved to this view's time: the honest share of the difference stays
-    assert 0.8 < metrics["self_consistency"]["finetuned"]["other_views"]["mean"] < 1
+    agreement = metrics.self_consistency["finetuned"].other_views.mean
+    assert agreement is not None and 0.8 < agreement < 1
 
 
 @pytest.mark.parametrize("decode", ["refined", "depth"])
-def test_the_baseline_is_placed_as_the_finetuned_network_is(context: StageContext, decode: str) -> None:
-    (context.upstream["finetune"] / "curves.json").write_text(json.dumps({"decode": decode}))
-    evaluate.run(context, EvaluateConfig())
-    metrics = json.loads((context.output / "metrics.json").read_text())
+def test_the_baseline_is_placed_as_the_finetuned_network_is(job: Job, decode: str) -> None:
+    job.curves(decode=decode)
+    _, metrics = job.evaluate()
     longer = pytest.approx(1 - 1 / 1.1)
     published = {f"baseline_{how}": how for how in ("plane", "depth") if how != decode}
     expected = {"baseline": decode, **published, "finetuned": decode}
-    assert metrics.keys() & {"baseline_plane", "baseline_depth"} == published.keys()
+    there = {name for name in ("baseline_plane", "baseline_depth") if getattr(metrics, name) is not None}
+    assert there == published.keys()
+    assert metrics.paper_compat is not None
     for name, how in expected.items():
-        assert metrics[name]["ase"]["mean"] == (longer if how == "depth" else pytest.approx(0, abs=1e-6)), name
-        assert name in metrics["paper_compat"] and name in metrics["self_consistency"]
+        assert getattr(metrics, name).ase.mean == (longer if how == "depth" else pytest.approx(0, abs=1e-6)), name
+        assert name in metrics.paper_compat and name in metrics.self_consistency
 
 
-def test_the_baseline_sees_images_as_wide_as_the_fine_tuned_network(
-    context: StageContext, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_the_baseline_sees_images_as_wide_as_the_fine_tuned_network(job: Job, monkeypatch: pytest.MonkeyPatch) -> None:
     seen = []
 
     def watched(network: Any, frames: Iterable[Frame], **options: Any) -> Iterator[tuple[Vehicles3D, ...]]:
@@ -150,14 +178,14 @@ def test_the_baseline_sees_images_as_wide_as_the_fine_tuned_network(
     monkeypatch.setattr(evaluate, "predict_each", watched)
     network = SmallNetwork()
     network.input_width_px = 960
-    save_network(network, context.upstream["finetune"] / "weights.safetensors")
-    (context.upstream["finetune"] / "curves.json").write_text(json.dumps({"decode": "plane", "input_width_px": 960}))
-    evaluate.run(context, EvaluateConfig())
+    save_network(network, job.place(catalogue.WEIGHTS))
+    job.curves(input_width_px=960)
+    job.evaluate()
     assert seen == [960] * 2
 
 
 def test_standard_deviations_are_multiplied_as_the_validation_part_says(
-    context: StageContext, monkeypatch: pytest.MonkeyPatch
+    job: Job, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Errors of 0.5 m are stated as 0.1 m, and the factor of 3 does not make up for all of it."""
 
@@ -168,88 +196,79 @@ def test_standard_deviations_are_multiplied_as_the_validation_part_says(
 
     monkeypatch.setattr(evaluate, "predict_each", each(unsure))
     monkeypatch.setattr(track, "predict", unsure)
-    curves = {"decode": "plane", "sd_factors": {"position": 3.0, "yaw": 2.0}}
-    (context.upstream["finetune"] / "curves.json").write_text(json.dumps(curves))
-    evaluate.run(context, EvaluateConfig())
-    metrics = json.loads((context.output / "metrics.json").read_text())
-    assert metrics["sd_factors"] == {"position": 3.0, "z": 1.0, "size": 1.0, "yaw": 2.0}
+    job.curves(sd_factors={"position": 3.0, "yaw": 2.0})
+    _, metrics = job.evaluate()
+    assert metrics.sd_factors == {"position": 3.0, "z": 1.0, "size": 1.0, "yaw": 2.0}
+    assert metrics.reliability is not None
     learned, calibrated, baseline = (
-        metrics["reliability"][name]["position"] for name in ("finetuned_as_learned", "finetuned", "baseline")
+        metrics.reliability[name]["position"].scale_factor for name in ("finetuned_as_learned", "finetuned", "baseline")
     )
-    assert learned["scale_factor"] == pytest.approx(baseline["scale_factor"])
-    assert learned["scale_factor"] == pytest.approx(3 * calibrated["scale_factor"])
-    kept = read_vehicles3d(context.output / "predictions_finetuned.parquet")
+    assert calibrated is not None
+    assert learned == pytest.approx(baseline)
+    assert learned == pytest.approx(3 * calibrated)
+    kept = job.read(catalogue.PREDICTIONS_FINETUNED)
     np.testing.assert_allclose(kept[0].sd[0], [0.3, 0.3, 0.1, 0.1, 0.1, 0.1, 0.2])
-    surer = {"decode": "plane"}
-    track.run(context, TrackConfig())
-    wide = read_tracks(context.output / "tracks.parquet")
-    (context.upstream["finetune"] / "curves.json").write_text(json.dumps(surer))
-    track.run(context, TrackConfig())
-    narrow = read_tracks(context.output / "tracks.parquet")
+    _, wide = job.track()
+    job.curves()
+    _, narrow = job.track()
     assert np.median(wide[0].sd[:, 0]) > np.median(narrow[0].sd[:, 0])
 
 
-def test_predictions_are_kept_at_the_instants_of_the_test_part_alone(context: StageContext) -> None:
-    evaluate.run(context, EvaluateConfig())
-    for name in ("baseline", "finetuned"):
-        kept = read_vehicles3d(context.output / f"predictions_{name}.parquet")
+def test_predictions_are_kept_at_the_instants_of_the_test_part_alone(job: Job) -> None:
+    job.evaluate()
+    for artifact in (catalogue.PREDICTIONS_BASELINE, catalogue.PREDICTIONS_FINETUNED):
+        kept = job.read(artifact)
         assert {v.time_ns for v in kept} == set(TEST)
         assert {v.camera_id for v in kept} == set(RIG)
 
 
-def test_without_labels_the_views_are_compared_with_each_other_alone(context: StageContext) -> None:
-    context.assets.pop("labels")  # type: ignore[attr-defined]
-    summary = evaluate.run(context, EvaluateConfig())
-    metrics = json.loads((context.output / "metrics.json").read_text())
-    assert metrics["labels"] == summary["labels"] == "none"
-    assert metrics["finetuned"] is metrics["significance"] is metrics["by_distance"] is None
-    assert metrics["self_consistency"]["finetuned"]["pairs"] > 0
+def test_without_labels_the_views_are_compared_with_each_other_alone(job: Job) -> None:
+    job.labels = None
+    summary, metrics = job.evaluate()
+    assert metrics.labels == summary["labels"] == "none"
+    assert metrics.finetuned is metrics.significance is metrics.by_distance is None
+    assert metrics.self_consistency["finetuned"].pairs > 0
 
 
-def test_labels_of_another_part_of_the_recording_count_as_none(context: StageContext, tmp_path: Path) -> None:
-    early = [LabelledInstant(Vehicles3D.of(0, truth(0)), {"cam1": np.ones(2)})]
-    write_labels(tmp_path / "early.json", early)
-    context.assets["labels"] = tmp_path / "early.json"  # type: ignore[index]
-    assert evaluate.run(context, EvaluateConfig())["labels"] == "none"
-    metrics = json.loads((context.output / "metrics.json").read_text())
-    assert (metrics["labelled_instants"]["given"], metrics["labelled_instants"]["in_test_part"]) == (1, 0)
-    assert metrics["labelled_instants"]["test_from_s"] == pytest.approx(TEST[0] * 1e-9)
+def test_labels_of_another_part_of_the_recording_count_as_none(job: Job, tmp_path: Path) -> None:
+    job.labels = tmp_path / "early.json"
+    write_labels(job.labels, [LabelledInstant(Vehicles3D.of(0, truth(0)), {"cam1": np.ones(2)})])
+    summary, metrics = job.evaluate()
+    assert summary["labels"] == "none"
+    assert (metrics.labelled_instants.given, metrics.labelled_instants.in_test_part) == (1, 0)
+    assert metrics.labelled_instants.test_from_s == pytest.approx(TEST[0] * 1e-9)
 
 
-def test_labels_between_the_instants_of_the_split_are_used(context: StageContext, tmp_path: Path) -> None:
+def test_labels_between_the_instants_of_the_split_are_used(job: Job, tmp_path: Path) -> None:
     """Somebody labelled once in 0.64 s, always two frames after the split's instants, which are 0.4 s apart."""
     split = INSTANTS[10::5]
-    (context.upstream["dataset"] / "split.json").write_text(json.dumps({"train": [], "val": [], "test": split}))
+    job.split([], split)
     times = INSTANTS[12::8]
+    job.labels = tmp_path / "sparse.json"
     sparse = [LabelledInstant(Vehicles3D.of(t, truth(t)), {id_: np.ones(2) for id_ in RIG}) for t in times]
-    write_labels(tmp_path / "sparse.json", sparse)
-    context.assets["labels"] = tmp_path / "sparse.json"  # type: ignore[index]
-    assert evaluate.run(context, EvaluateConfig())["labels"] == "hand"
-    metrics = json.loads((context.output / "metrics.json").read_text())
-    assert (metrics["labelled_instants"]["given"], metrics["labelled_instants"]["in_test_part"]) == (2, 2)
-    assert metrics["finetuned"]["matched"] == 2 * 2 * len(RIG)
-    kept = read_vehicles3d(context.output / "predictions_finetuned.parquet")
-    assert {v.time_ns for v in kept} == {*split, *times}
+    write_labels(job.labels, sparse)
+    summary, metrics = job.evaluate()
+    assert summary["labels"] == "hand"
+    assert (metrics.labelled_instants.given, metrics.labelled_instants.in_test_part) == (2, 2)
+    assert metrics.finetuned is not None and metrics.finetuned.matched == 2 * 2 * len(RIG)
+    assert {v.time_ns for v in job.read(catalogue.PREDICTIONS_FINETUNED)} == {*split, *times}
 
 
-def test_a_network_that_was_trained_on_a_gpu_is_used_without_one(
-    context: StageContext, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_network_that_was_trained_on_a_gpu_is_used_without_one(job: Job, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(torch.cuda, "is_available", lambda: False)
-    (context.upstream["finetune"] / "curves.json").write_text(json.dumps({"decode": "plane", "device": "cuda"}))
-    assert evaluate.run(context, EvaluateConfig())["labels"] == "hand"
-    assert track.run(context, TrackConfig())["tracks"] == 2
+    job.curves(device="cuda")
+    assert job.evaluate()[0]["labels"] == "hand"
+    assert job.track()[0]["tracks"] == 2
 
 
-def test_an_empty_test_part_is_too_few_instants(context: StageContext) -> None:
-    (context.upstream["dataset"] / "split.json").write_text(json.dumps({"train": INSTANTS, "val": [], "test": []}))
+def test_an_empty_test_part_is_too_few_instants(job: Job) -> None:
+    job.split(INSTANTS, [])
     with pytest.raises(TooFewInstants):
-        evaluate.run(context, EvaluateConfig())
+        job.evaluate()
 
 
-def test_tracks_are_at_the_instants_although_frames_are_not(context: StageContext) -> None:
-    summary = track.run(context, TrackConfig(rate_hz=6.25))
-    tracks = read_tracks(context.output / "tracks.parquet")
+def test_tracks_are_at_the_instants_although_frames_are_not(job: Job) -> None:
+    summary, tracks = job.track(rate_hz=6.25)
     assert summary == {"tracks": 2, "instants": 13, "by_class": {"car": 2}}
     (driving,) = (t for t in tracks if np.hypot(*t.velocities_mps[-1]) > 5)
     assert driving.times_ns.tolist() == INSTANTS[::2]

@@ -9,6 +9,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from tests.stage_folders import StageFolders
+from wibam_core.artifacts import catalogue
 from wibam_core.config import DetectConfig, FramesConfig, PreflightConfig
 from wibam_core.detection.boxes import Found
 from wibam_core.errors import (
@@ -19,10 +21,9 @@ from wibam_core.errors import (
     NoVehicles,
     UnreadableVideo,
 )
-from wibam_core.formats.annotations import read_annotations
-from wibam_core.formats.clocks import write_clocks
+from wibam_core.formats.clocks import Clocks
 from wibam_core.formats.framestore import FrameStore, FrameStoreWriter
-from wibam_core.progress import silent
+from wibam_core.progress import Progress, silent
 from wibam_core.scene import ClockMap
 from wibam_core.site import HomographyCalibration, Site, SiteCamera
 from wibam_core.stages import detect, frames, preflight
@@ -62,31 +63,24 @@ def site(camera_ids: tuple[str, ...], width_px: int = WIDTH, height_px: int = HE
     )
 
 
-class Run:
+class Run(StageFolders):
     """Runs stages one after the other in a folder."""
 
     def __init__(self, folder: Path, recordings: Mapping[str, Path], camera_ids: tuple[str, ...] = ()) -> None:
-        self.folder = folder
+        super().__init__(folder)
         self.recordings = recordings
         self.site = site(camera_ids or tuple(recordings))
 
-    def context(self, name: str, **extra: object) -> StageContext:
-        output = self.folder / name
-        output.mkdir()
-        upstream = {part.name: part for part in self.folder.iterdir() if part.is_dir()}
-        fields = {"assets": {}, "progress": silent, **extra}
-        return StageContext(
-            site=self.site, recordings=self.recordings, upstream=upstream, output=output, scratch=self.folder, **fields
-        )
+    def of(self, stage: str, assets: Mapping[str, Path] | None = None, progress: Progress = silent) -> StageContext:
+        return self.context(stage, self.site, self.recordings, assets, progress)
 
     def preflight(self, **options: float) -> dict:
-        return preflight.run(self.context("preflight"), PreflightConfig(**options))
+        return preflight.run(self.of("preflight"), PreflightConfig(**options))
 
     def frames(self, clocks: Mapping[str, ClockMap], **options: float) -> tuple[dict, FrameStore]:
-        (self.folder / "sync").mkdir()
-        write_clocks(self.folder / "sync" / "clocks.json", clocks)
-        summary = frames.run(self.context("frames"), FramesConfig(**options))
-        return summary, FrameStore(self.folder / "frames")
+        self.give(catalogue.CLOCKS, Clocks(clocks))
+        summary = frames.run(self.of("frames"), FramesConfig(**options))
+        return summary, self.read(catalogue.FRAMES)
 
 
 CLOCKS = {
@@ -113,17 +107,17 @@ def three(tmp_path: Path) -> Run:
 
 def test_preflight_writes_what_the_recordings_are(three: Run) -> None:
     summary = three.preflight(min_overlap_s=2)
-    probed = json.loads((three.folder / "preflight" / "probe.json").read_text())
+    probed = three.read(catalogue.PROBE).cameras
     assert list(probed) == ["a", "b", "c"]
-    assert (probed["b"]["codec"], probed["b"]["width_px"], probed["b"]["height_px"]) == ("h264", WIDTH, HEIGHT)
-    assert probed["b"]["first_ns"] == pytest.approx(int(CLOCKS["b"].to_local_ns(0)), abs=6_000)
+    assert (probed["b"].codec, probed["b"].width_px, probed["b"].height_px) == ("h264", WIDTH, HEIGHT)
+    assert probed["b"].first_ns == pytest.approx(int(CLOCKS["b"].to_local_ns(0)), abs=6_000)
     assert summary["shortest_s"] == pytest.approx(2.5 + 0.04, abs=0.03)
     assert summary["warnings"] == []
     json.dumps(summary)
 
 
 def test_preflight_names_every_camera_without_a_recording(three: Run) -> None:
-    run = Run(three.folder, three.recordings, ("a", "north", "b", "south"))
+    run = Run(three.root, three.recordings, ("a", "north", "b", "south"))
     with pytest.raises(MissingCamera, match="north, south"):
         run.preflight()
 
@@ -173,7 +167,7 @@ def test_frames_that_were_dropped_or_not_recorded_are_absent(three: Run) -> None
 
 
 def test_one_camera_alone_keeps_all_its_instants(three: Run) -> None:
-    run = Run(three.folder, {"b": three.recordings["b"]})
+    run = Run(three.root, {"b": three.recordings["b"]})
     run.preflight(min_overlap_s=1)
     _, store = run.frames({"b": CLOCKS["b"]}, rate_hz=5.0)
     assert [s.time_ns for s in store.frame_sets] == list(range(0, 3 * S + 1, 200_000_000))
@@ -215,8 +209,8 @@ def test_a_camera_that_shares_less_than_the_least_time_is_named(three: Run, came
 
 def test_recordings_of_just_the_least_time_are_enough(three: Run) -> None:
     """Frames from 0 to 1.48 s, the last of them shown for 40 ms."""
-    folder = three.folder.parent / "videos"
-    run = Run(three.folder, {id_: record(folder / f"{id_}2.mp4", ClockMap(), 0, 37 * STEP_NS) for id_ in "ab"})
+    folder = three.root.parent / "videos"
+    run = Run(three.root, {id_: record(folder / f"{id_}2.mp4", ClockMap(), 0, 37 * STEP_NS) for id_ in "ab"})
     run.preflight(min_overlap_s=1.5)
     summary, _ = run.frames({"a": ClockMap(), "b": ClockMap()})
     assert summary["frames"]["a"] == summary["frames"]["b"] > 0
@@ -225,7 +219,7 @@ def test_recordings_of_just_the_least_time_are_enough(three: Run) -> None:
 def test_a_camera_without_a_frame_at_the_common_instants_is_an_error(three: Run) -> None:
     """All share a moment, but nothing within reach of a common instant was recorded by b."""
     three.recordings["b"] = record(
-        three.folder.parent / "videos" / "gap.mp4", ClockMap(), 0, 95 * STEP_NS, frozenset(range(4, 95))
+        three.root.parent / "videos" / "gap.mp4", ClockMap(), 0, 95 * STEP_NS, frozenset(range(4, 95))
     )
     three.preflight(min_overlap_s=1)
     clocks = {**CLOCKS, "b": ClockMap()}
@@ -233,35 +227,34 @@ def test_a_camera_without_a_frame_at_the_common_instants_is_an_error(three: Run)
         three.frames(clocks, rate_hz=1.0)
     assert "remove it" in caught.value.hint
     with pytest.raises(InputError):
-        FrameStore(three.folder / "frames")
+        three.read(catalogue.FRAMES)
 
 
 def test_preflight_refuses_labels_that_cannot_be_used(three: Run, tmp_path: Path) -> None:
     labels = tmp_path / "labels.parquet"
     labels.write_bytes(bytes(range(256)))
     with pytest.raises(InvalidLabels, match="neither Parquet nor JSON"):
-        preflight.run(three.context("preflight", assets={"labels": labels}), PreflightConfig(min_overlap_s=1))
+        preflight.run(three.of("preflight", assets={"labels": labels}), PreflightConfig(min_overlap_s=1))
 
 
 def test_preflight_counts_the_labelled_instants(three: Run, tmp_path: Path) -> None:
     labels = tmp_path / "labels.json"
     labels.write_text('{"labels": [], "empty_instants": [40, 80]}')
-    context = three.context("preflight", assets={"labels": labels})
+    context = three.of("preflight", assets={"labels": labels})
     assert preflight.run(context, PreflightConfig(min_overlap_s=1))["labelled_instants"] == 2
 
 
 def test_frames_stop_when_their_progress_is_refused(three: Run) -> None:
     three.preflight(min_overlap_s=1)
-    (three.folder / "sync").mkdir()
-    write_clocks(three.folder / "sync" / "clocks.json", CLOCKS)
+    three.give(catalogue.CLOCKS, Clocks(CLOCKS))
 
     def cancel(fraction: float, message: str = "", **figures: float) -> None:
         raise InterruptedError("stopped")
 
     with pytest.raises(InterruptedError):
-        frames.run(three.context("frames", progress=cancel), FramesConfig(rate_hz=25))
+        frames.run(three.of("frames", progress=cancel), FramesConfig(rate_hz=25))
     with pytest.raises(InputError):
-        FrameStore(three.folder / "frames")
+        three.read(catalogue.FRAMES)
 
 
 class BrightSpots:
@@ -275,9 +268,10 @@ class BrightSpots:
         return Found(box, np.array([0.75]), np.array([2]))
 
 
-def stored(folder: Path, spots: bool) -> None:
+def stored(root: Path, spots: bool) -> Run:
     """Frames of 64x36 px of a 128x72 px recording; camera a has a spot that moves, b has none."""
-    with FrameStoreWriter(folder, 95) as writer:
+    run = Run(root, {"a": root, "b": root})
+    with FrameStoreWriter(run.place(catalogue.FRAMES), 95) as writer:
         for i in range(40):
             image = np.zeros((36, 64, 3), np.uint8)
             if spots:
@@ -286,16 +280,16 @@ def stored(folder: Path, spots: bool) -> None:
             if i % 2:
                 writer.add("b", i * S, i * S - 2, np.zeros((36, 64, 3), np.uint8))
         writer.close({"a": (128, 72), "b": (128, 72)})
+    return run
 
 
 def test_convention_detections_are_in_pixels_of_the_recording(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(detect, "load_detector", lambda path, **options: BrightSpots())
-    stored(tmp_path / "frames", spots=True)
+    run = stored(tmp_path, spots=True)
     seen: list[float] = []
-    run = Run(tmp_path, {"a": tmp_path, "b": tmp_path})
-    context = run.context("detect", progress=lambda fraction, message="", **figures: seen.append(fraction))
+    context = run.of("detect", progress=lambda fraction, message="", **figures: seen.append(fraction))
     summary = detect.run(context, DetectConfig(refine="off"))
-    instants = read_annotations(tmp_path / "detect" / "detections.parquet")
+    instants = run.read(catalogue.DETECTIONS)
     assert [instant.time_ns for instant in instants] == [i * S for i in range(40)]
     for i, instant in enumerate(instants):
         assert set(instant.detections) == ({"a", "b"} if i % 2 else {"a"})
@@ -305,6 +299,7 @@ def test_convention_detections_are_in_pixels_of_the_recording(tmp_path: Path, mo
         assert found.classes.tolist() == [2]
         assert instant.vehicles == ()
     assert len(instants[1].detections["b"]) == 0
+    assert run.read(catalogue.DETECTION_STATISTICS).model_dump() == summary
     assert summary["boxes_by_camera"] == {"a": 40, "b": 0}
     assert summary["boxes_by_class"] == {"car": 0, "van": 0, "truck": 40, "bus": 0}
     assert summary["frames"] == 60
@@ -315,24 +310,24 @@ def test_convention_detections_are_in_pixels_of_the_recording(tmp_path: Path, mo
 
 def test_vehicles_are_looked_for_as_often_as_asked(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(detect, "load_detector", lambda path, **options: BrightSpots())
-    stored(tmp_path / "frames", spots=True)
-    summary = detect.run(Run(tmp_path, {"a": tmp_path}).context("detect"), DetectConfig(refine="off", rate_hz=0.25))
-    instants = read_annotations(tmp_path / "detect" / "detections.parquet")
+    run = stored(tmp_path, spots=True)
+    summary = detect.run(run.of("detect"), DetectConfig(refine="off", rate_hz=0.25))
+    instants = run.read(catalogue.DETECTIONS)
     assert [instant.time_ns for instant in instants] == [i * S for i in range(0, 40, 4)]
     assert summary["frames"] == 10
 
 
 def test_no_vehicle_at_all_is_an_error(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(detect, "load_detector", lambda path, **options: BrightSpots())
-    stored(tmp_path / "frames", spots=False)
+    run = stored(tmp_path, spots=False)
     with pytest.raises(NoVehicles, match="60 frames of 2 cameras"):
-        detect.run(Run(tmp_path, {"a": tmp_path}).context("detect"), DetectConfig())
+        detect.run(run.of("detect"), DetectConfig())
 
 
 def test_detector_of_ones_own_must_be_there(tmp_path: Path) -> None:
-    stored(tmp_path / "frames", spots=True)
+    run = stored(tmp_path, spots=True)
     with pytest.raises(InputError, match="the site has no detector"):
-        detect.run(Run(tmp_path, {"a": tmp_path}).context("detect"), DetectConfig(detector="custom"))
+        detect.run(run.of("detect"), DetectConfig(detector="custom"))
 
 
 @pytest.mark.assets
@@ -341,9 +336,9 @@ def test_custom_detector_runs_on_real_footage(assets: Path, tmp_path: Path) -> N
     run.site = site(("a",), 640, 360)
     run.preflight()
     run.frames({"a": ClockMap()}, rate_hz=0.5)
-    context = run.context("detect", assets={"detector": assets / "detectors" / "yolox_nano.onnx"})
+    context = run.of("detect", assets={"detector": assets / "detectors" / "yolox_nano.onnx"})
     summary = detect.run(context, DetectConfig(detector="custom", min_score=0.2))
     assert summary["frames"] == 10
     assert summary["boxes"] >= 20
-    for instant in read_annotations(tmp_path / "detect" / "detections.parquet"):
+    for instant in run.read(catalogue.DETECTIONS):
         assert len(instant.detections["a"])

@@ -32,8 +32,8 @@ def test_nothing_is_found_before_it_is_published(tmp_path: Path) -> None:
     assert store.find("sync", DIGEST) == folder
     assert (folder / "clocks.json").read_text() == "{}"
     manifest = store.manifest("sync", DIGEST)
-    assert manifest["summary"] == {"cameras": 4}
-    assert manifest["files"]["clocks.json"]["bytes"] == 2
+    assert manifest.summary == {"cameras": 4}
+    assert manifest.files["clocks.json"].bytes == 2
 
 
 def test_of_two_that_raced_the_first_stays(tmp_path: Path) -> None:
@@ -85,7 +85,7 @@ def test_a_stage_whose_removal_was_killed_runs_again(tmp_path: Path, monkeypatch
             store.remove("sync", DIGEST)
     assert store.find("sync", DIGEST) is None
     store.publish(store.begin("sync", DIGEST), {"n": 2}, 0.0)
-    assert store.manifest("sync", DIGEST)["summary"] == {"n": 2}
+    assert store.manifest("sync", DIGEST).summary == {"n": 2}
     store.sweep(set)
     assert list((tmp_path / ".partial").iterdir()) == []
 
@@ -96,7 +96,7 @@ def test_a_folder_without_a_manifest_is_in_nobodys_way(tmp_path: Path) -> None:
     (folder / "manifest.json").unlink()
     (folder / "rest").touch()
     assert store.publish(store.begin("sync", DIGEST), {"n": 2}, 0.0) == folder
-    assert store.manifest("sync", DIGEST)["summary"] == {"n": 2}
+    assert store.manifest("sync", DIGEST).summary == {"n": 2}
     assert not (folder / "rest").exists()
 
 

@@ -190,7 +190,7 @@ def test_every_change_is_in_one_group_at_most():
 def test_document_holds_what_the_figures_need():
     changes, _, _ = record(np.random.default_rng(9))
     result = estimate_clocks(changes, "c0")
-    document = json.loads(json.dumps(sync_document(changes, result), allow_nan=False))
+    document = json.loads(sync_document(changes, result).model_dump_json())
     assert list(document["cameras"]) == ["c0", "c1", "c2", "c3"]
     for camera_id, camera in document["cameras"].items():
         assert camera["changes"] == len(document["changes"][camera_id])

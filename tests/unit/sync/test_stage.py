@@ -1,17 +1,17 @@
-import json
-
 import pytest
 
 from tests.builders import corner_rig, site_of
 from tests.signal_heads import CYCLE, record, sequence
+from tests.stage_folders import StageFolders
+from wibam_core.artifacts.catalogue import CHANGES, CLOCKS, PROBE
 from wibam_core.config import SyncConfig
+from wibam_core.documents.recordings import Probe
 from wibam_core.errors import MissingCamera, NoSignalChange
-from wibam_core.formats.clocks import read_clock_errors, read_clocks
 from wibam_core.scene import ClockMap
 from wibam_core.site import Site
 from wibam_core.stages import sync
-from wibam_core.stages.base import StageContext
 from wibam_core.video.encode import VideoWriter
+from wibam_core.video.probe import probe
 
 STARTS = {"cam1": 5.0, "cam2": 6.4, "cam3": 4.3}
 SECONDS, SIZE = 40.0, (10, 26)
@@ -26,8 +26,6 @@ def folder(tmp_path_factory):
         with VideoWriter(folder / f"{camera_id}.mp4", SIZE[0] + 40, SIZE[1] + 32, 12.5, crf=24) as writer:
             for time_ns, image in frames:
                 writer.write(image, time_ns)
-    spans = {camera_id: {"first_ns": 0, "last_ns": int(SECONDS * 1e9)} for camera_id in STARTS}
-    (folder / "probe.json").write_text(json.dumps(spans))
     return folder
 
 
@@ -37,38 +35,42 @@ def context_of(folder, output, region=(19, 15, 12, 28), told=None):
         camera["signals"] = [{"id": "main", "region": region}] if region else []
     recordings = {camera_id: folder / f"{camera_id}.mp4" for camera_id in STARTS}
     listener = (lambda fraction, *a, **k: told.append(fraction)) if told is not None else (lambda *a, **k: None)
-    return StageContext(Site.model_validate(site), recordings, {}, {"preflight": folder}, output, output, listener)
+    folders = StageFolders(output)
+    folders.give(PROBE, Probe(cameras={camera_id: probe(path) for camera_id, path in recordings.items()}))
+    return folders.context("sync", Site.model_validate(site), recordings, progress=listener)
 
 
 def test_recordings_are_put_on_one_clock(folder, tmp_path):
     told = []
     summary = sync.run(context_of(folder, tmp_path, told=told), SyncConfig())
-    clocks = read_clocks(tmp_path / "clocks.json")
+    made = StageFolders(tmp_path)
+    clocks = made.read(CLOCKS)
     assert list(clocks) == list(STARTS)
     assert clocks["cam1"] == ClockMap()
     for camera_id, start_s in STARTS.items():
         assert clocks[camera_id].offset_ns / 1e9 == pytest.approx(start_s - STARTS["cam1"], abs=0.045)
-    assert read_clock_errors(tmp_path / "clocks.json")["cam2"].offset_sd_ns < 40e6
-    document = json.loads((tmp_path / "changes.json").read_bytes())
-    assert document["method"] == "signals"
-    assert summary["matched_changes"] == len(document["groups"]) >= 4
-    assert document["cameras"]["cam2"]["rms_before_s"] == pytest.approx(1.4, abs=0.06)
-    assert document["cameras"]["cam2"]["rms_after_s"] < 0.06
+    assert clocks.errors["cam2"].offset_sd_ns < 40e6
+    document = made.read(CHANGES)
+    assert document.method == "signals"
+    assert summary["matched_changes"] == len(document.groups) >= 4
+    assert document.cameras["cam2"].rms_before_s == pytest.approx(1.4, abs=0.06)
+    assert document.cameras["cam2"].rms_after_s < 0.06
     assert told[-1] == 1.0
     assert told == sorted(told)
 
 
 def test_method_none_takes_the_clocks_as_they_are(folder, tmp_path):
     sync.run(context_of(folder, tmp_path), SyncConfig(method="none"))
-    assert set(read_clocks(tmp_path / "clocks.json").values()) == {ClockMap()}
-    assert json.loads((tmp_path / "changes.json").read_bytes())["method"] == "none"
+    made = StageFolders(tmp_path)
+    assert set(made.read(CLOCKS).values()) == {ClockMap()}
+    assert made.read(CHANGES).method == "none"
 
 
 def test_a_region_that_shows_no_signal_names_its_camera(folder, tmp_path):
     with pytest.raises(NoSignalChange, match="camera cam1") as error:
         sync.run(context_of(folder, tmp_path, region=(0, 0, 10, 14)), SyncConfig())
     assert "region" in error.value.hint
-    assert not list(tmp_path.iterdir())
+    assert not list((tmp_path / "sync").iterdir())
 
 
 def test_a_camera_without_region_or_recording_is_named(folder, tmp_path):

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import threading
 from dataclasses import replace
 from pathlib import Path
@@ -14,6 +13,8 @@ from tests.unit.worker.service import LIMITS, PREFLIGHT, Service, key, run_inste
 from wibam_core.adapters.job_rows import StageKey
 from wibam_core.adapters.job_store import StagePlan
 from wibam_core.adapters.lease_store import LeaseStore
+from wibam_core.artifacts.access import ArtifactReader
+from wibam_core.artifacts.catalogue import PROBE
 from wibam_core.jobs.leases import LeasePolicy
 from wibam_core.jobs.records import EventKind, Job
 from wibam_core.jobs.states import JobState, StageState
@@ -47,7 +48,7 @@ class TestRunning:
         assert stage.summary["shortest_s"] == pytest.approx(1.5, abs=0.2)
         folder = service.store.find(PREFLIGHT, stage.hash)
         assert folder is not None
-        assert set(json.loads((folder / "probe.json").read_text())) == set(job.site.camera_ids)
+        assert set(ArtifactReader({"preflight": folder}).read(PROBE).cameras) == set(job.site.camera_ids)
         assert service.dispatched == [StageKey(job.id, "sync")]
         assert "[preflight] done" in service.folder.log(job.id).read_text()
         kinds = {event.kind for event in service.jobs.events(job.id)[0]}

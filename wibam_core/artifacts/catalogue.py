@@ -1,0 +1,99 @@
+"""All artifacts. A new one is an entry here; the stage that makes it and those that read it name it."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from types import MappingProxyType
+from typing import Any, Final
+
+from wibam_core.artifacts.artifact import Artifact
+from wibam_core.artifacts.codecs import BINARY, JSON, Codec, document, opaque, own_format, text
+from wibam_core.documents.calibration import CalibrationResiduals
+from wibam_core.documents.conflicts import Conflicts
+from wibam_core.documents.curves import Curves
+from wibam_core.documents.metrics import Metrics
+from wibam_core.documents.recordings import Limits, Probe
+from wibam_core.documents.split import Split
+from wibam_core.documents.statistics import (
+    AssociationStatistics,
+    DatasetStatistics,
+    DetectionStatistics,
+    LiftStatistics,
+)
+from wibam_core.documents.synchronisation import Synchronisation
+from wibam_core.formats.annotations import read_annotations, write_annotations
+from wibam_core.formats.clocks import read_clocks, write_clocks
+from wibam_core.formats.framestore import FrameStore
+from wibam_core.formats.rig import read_rig, write_rig
+from wibam_core.formats.tracks import read_tracks, write_tracks
+from wibam_core.formats.vehicles3d import read_vehicles3d, write_vehicles3d
+
+_ANNOTATIONS = own_format(read_annotations, write_annotations)
+_BOXES_3D = own_format(read_vehicles3d, write_vehicles3d)
+
+PROBE: Final = Artifact("probe", "preflight", "probe.json", "The recordings", document(Probe))
+LIMITS: Final = Artifact("limits", "preflight", "limits.json", "What the clocks must allow", document(Limits))
+CLOCKS: Final = Artifact(
+    "clocks", "sync", "clocks.json", "The cameras' clocks", own_format(read_clocks, write_clocks, JSON)
+)
+CHANGES: Final = Artifact("changes", "sync", "changes.json", "Light changes", document(Synchronisation))
+RIG: Final = Artifact("rig", "calibrate", "rig.json", "The calibrated cameras", own_format(read_rig, write_rig, JSON))
+RESIDUALS: Final = Artifact(
+    "residuals", "calibrate", "residuals.json", "Residuals of the calibration", document(CalibrationResiduals)
+)
+FRAMES: Final = Artifact(
+    "frames", "frames", "frames", "Frames of all cameras", Codec(BINARY, FrameStore, None, FrameStore.__module__)
+)
+DETECTIONS: Final = Artifact("detections", "detect", "detections.parquet", "2D boxes", _ANNOTATIONS)
+DETECTION_STATISTICS: Final = Artifact(
+    "detection-statistics", "detect", "statistics.json", "Counts of 2D boxes", document(DetectionStatistics)
+)
+ANNOTATIONS: Final = Artifact(
+    "annotations", "associate", "annotations.parquet", "2D boxes with the vehicles that they belong to", _ANNOTATIONS
+)
+ASSOCIATION_STATISTICS: Final = Artifact(
+    "association-statistics", "associate", "statistics.json", "Counts of vehicles", document(AssociationStatistics)
+)
+SPLIT: Final = Artifact("split", "dataset", "split.json", "The split in time", document(Split))
+DATASET_STATISTICS: Final = Artifact(
+    "dataset-statistics", "dataset", "statistics.json", "Distributions of the data set", document(DatasetStatistics)
+)
+FITS: Final = Artifact("fits", "lift", "fits.parquet", "7DoF fits to all views", _BOXES_3D)
+LIFT_STATISTICS: Final = Artifact(
+    "lift-statistics", "lift", "statistics.json", "Counts and residuals of the fits", document(LiftStatistics)
+)
+WEIGHTS: Final = Artifact("weights", "finetune", "weights.safetensors", "The fine-tuned network", opaque())
+WEIGHTS_ONNX: Final = Artifact(
+    "weights-onnx", "finetune", "weights.onnx", "The fine-tuned network as ONNX", opaque(), optional=True
+)
+CURVES: Final = Artifact("curves", "finetune", "curves.json", "Losses of the training", document(Curves))
+METRICS: Final = Artifact("metrics", "evaluate", "metrics.json", "How good the networks are", document(Metrics))
+PREDICTIONS_BASELINE: Final = Artifact(
+    "predictions-baseline",
+    "evaluate",
+    "predictions_baseline.parquet",
+    "3D boxes before fine-tuning, in images of the test part",
+    _BOXES_3D,
+)
+PREDICTIONS_FINETUNED: Final = Artifact(
+    "predictions-finetuned",
+    "evaluate",
+    "predictions_finetuned.parquet",
+    "3D boxes after fine-tuning, in images of the test part",
+    _BOXES_3D,
+)
+TRACKS: Final = Artifact("tracks", "track", "tracks.parquet", "7DoF tracks", own_format(read_tracks, write_tracks))
+CONFLICTS: Final = Artifact(
+    "conflicts", "safety", "conflicts.json", "Conflicts between road users", document(Conflicts)
+)
+REPORT: Final = Artifact("report", "report", "report.html", "The report", text("text/html"))
+
+#: By name.
+ARTIFACTS: Mapping[str, Artifact[Any]] = MappingProxyType(
+    {value.name: value for value in tuple(globals().values()) if isinstance(value, Artifact)}
+)
+
+
+def made_by(stage: str) -> tuple[Artifact[Any], ...]:
+    """What a stage makes."""
+    return tuple(artifact for artifact in ARTIFACTS.values() if artifact.stage == stage)

@@ -1,0 +1,60 @@
+"""How well the calibrated cameras fit what the user said."""
+
+from __future__ import annotations
+
+from wibam_core.documents.base import Document
+
+
+class Zone(Document):
+    """A band of distance from a camera, on the ground."""
+
+    from_m: float
+    to_m: float
+    points: int
+    """How many of the user's points lie in it."""
+    median_px: float | None
+    """Reprojection error of these points."""
+    median_m: float | None
+    """Their error on the ground."""
+    m_per_px: float | None
+    """How far a ground point there moves when its pixel is one off: at worst over directions in the image, at the
+    median over the zone; null where the camera sees no ground in it."""
+
+
+class PointResidual(Document):
+    """One of the user's points."""
+
+    world: list[float]
+    """x, y, z in m."""
+    pixel: list[float]
+    """u, v in px of the recording."""
+    used: bool
+    """False where the point was taken for an outlier."""
+    error_px: float | None
+    error_m: float | None
+
+
+class CameraResiduals(Document):
+    """One camera's calibration."""
+
+    kind: str
+    """"matrices", "pnp" or "homography"."""
+    position_m: list[float]
+    """x, y, z of the camera in the world."""
+    focal_px: list[float]
+    """Focal length in x and y."""
+    points: int
+    rejected: int
+    median_px: float | None
+    rms_px: float | None
+    max_px: float | None
+    median_m: float | None
+    zones: list[Zone]
+    residuals: list[PointResidual]
+
+
+class CalibrationResiduals(Document):
+    """The calibration of all cameras."""
+
+    cameras: dict[str, CameraResiduals]
+    """By camera id."""

@@ -1,0 +1,26 @@
+"""What the store knows about a published stage."""
+
+from __future__ import annotations
+
+from pydantic import JsonValue
+
+from wibam_core.documents.base import Document
+
+
+class FileFacts(Document):
+    """A file of a stage."""
+
+    bytes: int
+    sha256: str
+
+
+class Manifest(Document):
+    """A published stage: its address, what it said, and its files."""
+
+    stage: str
+    digest: str
+    seconds: float
+    """How long it took."""
+    summary: dict[str, JsonValue]
+    files: dict[str, FileFacts]
+    """By name within the stage's folder."""
