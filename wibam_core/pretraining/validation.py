@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.optimize import linear_sum_assignment
 
+from wibam_core.geometry.box3d import POSE, XY, YAW
 from wibam_core.geometry.iou import bev_iou_paired, iou_3d_paired
 from wibam_core.geometry.se3 import normalise_angle
 from wibam_core.training.views import FloatArray
@@ -44,10 +45,10 @@ def measure(results: Iterable[ViewResult]) -> dict[str, float]:
     if len(true) == 0:
         return figures
     aligned = predicted.copy()
-    aligned[:, [0, 1, 6]] = true[:, [0, 1, 6]]
-    turn = np.abs(normalise_angle(predicted[:, 6] - true[:, 6]))
+    aligned[:, POSE] = true[:, POSE]
+    turn = np.abs(normalise_angle(predicted[:, YAW] - true[:, YAW]))
     return figures | {
-        "ate_m": float(np.hypot(*(predicted[:, :2] - true[:, :2]).T).mean()),
+        "ate_m": float(np.hypot(*(predicted[:, XY] - true[:, XY]).T).mean()),
         "ase": float(1 - bev_iou_paired(aligned, true).mean()),
         "aoe_deg": float(np.degrees(turn).mean()),
         "aoe_median_deg": float(np.degrees(np.median(turn))),
@@ -57,7 +58,7 @@ def measure(results: Iterable[ViewResult]) -> dict[str, float]:
 
 
 def _match(predicted: FloatArray, true: FloatArray) -> tuple[np.ndarray, np.ndarray]:
-    distance = np.linalg.norm(predicted[:, None, :2] - true[None, :, :2], axis=2)
+    distance = np.linalg.norm(predicted[:, None, XY] - true[None, :, XY], axis=2)
     rows, columns = linear_sum_assignment(np.minimum(distance, 2 * _MATCH_DISTANCE_M))
     near = distance[rows, columns] <= _MATCH_DISTANCE_M
     return rows[near], columns[near]

@@ -8,6 +8,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from wibam_core.geometry.box3d import YAW, Y
 from wibam_core.geometry.boxes2d import areas_px2, clipped_to_image
 from wibam_core.geometry.camera import Camera
 from wibam_core.geometry.se3 import SE3, normalise_angle
@@ -44,8 +45,8 @@ def mirror_camera(camera: Camera) -> Camera:
 def mirror_boxes3d(boxes: FloatArray) -> FloatArray:
     """World boxes (N, 7) mirrored at y = 0."""
     mirrored = boxes.copy()
-    mirrored[:, 1] = -boxes[:, 1]
-    mirrored[:, 6] = normalise_angle(-boxes[:, 6])
+    mirrored[:, Y] = -boxes[:, Y]
+    mirrored[:, YAW] = normalise_angle(-boxes[:, YAW])
     return mirrored
 
 

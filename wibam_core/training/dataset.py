@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from wibam_core.formats.framestore import FrameStore
+from wibam_core.geometry.box3d import XY, YAW
 from wibam_core.geometry.pixels import resized_px, scale_of
 from wibam_core.models.frames import INPUT_WIDTH_PX, prepare_camera, prepare_image
 from wibam_core.models.trunk import INPUT_MULTIPLE
@@ -211,7 +212,7 @@ class _Fits:
         self._tracks_at: dict[int, list[int]] = {}
         for vehicles in sorted(lifts, key=lambda one: one.time_ns):
             for row, track in enumerate(vehicles.ids.tolist()):
-                kind, score, yaw_sd = vehicles.classes[row], vehicles.scores[row], vehicles.sd[row, 6]
+                kind, score, yaw_sd = vehicles.classes[row], vehicles.scores[row], vehicles.sd[row, YAW]
                 fit = _Fit(vehicles.boxes[row], int(kind), float(score), float(yaw_sd))
                 self._tracks.setdefault(track, {})[vehicles.time_ns] = fit
                 self._tracks_at.setdefault(vehicles.time_ns, []).append(track)
@@ -230,7 +231,7 @@ class _Fits:
     def box_at(self, track: int, time_ns: int, exposed_ns: int) -> FloatArray:
         """(7,) the fit of the instant, moved to where the vehicle is when a frame is exposed."""
         box = self.of(track, time_ns).box.copy()
-        box[:2] += self._velocity_mps(track, time_ns) * (exposed_ns - time_ns) * 1e-9
+        box[XY] += self._velocity_mps(track, time_ns) * (exposed_ns - time_ns) * 1e-9
         return box
 
     def _velocity_mps(self, track: int, time_ns: int) -> FloatArray:
@@ -242,7 +243,7 @@ class _Fits:
         if first == last:
             return np.zeros(2)
         fits = self._tracks[track]
-        moved = fits[int(times[last])].box[:2] - fits[int(times[first])].box[:2]
+        moved = fits[int(times[last])].box[XY] - fits[int(times[first])].box[XY]
         return np.asarray(moved / ((times[last] - times[first]) * 1e-9))
 
 

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from wibam_core.geometry.box3d import vehicle_to_world
+from wibam_core.geometry.box3d import SIZE, vehicle_to_world
 from wibam_core.geometry.boxes2d import areas_px2, clipped_to_image, image_iou, sides_px
 from wibam_core.geometry.camera import Camera
 from wibam_core.geometry.occlusion import hidden_share, stands_before
@@ -54,7 +54,7 @@ def overlooked(
         found: (M,) whether the view has a 2D box that is known to be the vehicle's.
         boxes2d: (N, 4) xyxy, px: all 2D boxes of the view.
     """
-    points = vehicle_to_world(vehicles, BODIES[classes] * vehicles[:, None, 3:6])
+    points = vehicle_to_world(vehicles, BODIES[classes] * vehicles[:, None, SIZE])
     pixels, depths = camera.project(points)
     ahead = depths.min(axis=1, initial=np.inf) > _NEAREST_M
     pixels = np.where(ahead[:, None, None], pixels, 0.0)

@@ -9,6 +9,7 @@ import torch
 from torch import Tensor
 from torch.nn import functional
 
+from wibam_core.geometry.box3d import SIZE
 from wibam_core.geometry.torch_ops import corners, focal_px, wrap_angle
 from wibam_core.networks.dla34.centertrack import (
     BIN_CENTRES_RAD,
@@ -79,12 +80,12 @@ def lifted_parts(values: HeadValues, targets: DLA34Targets, decode: Decode) -> d
     seen_by = targets.cameras[targets.image]
     trained_scale = TRAINED_FOCAL_PX / focal_px(seen_by)
     offset = (values.centre3d - values.centre2d) - (targets.centre3d - targets.centre2d)
-    placed = replace(values, size_m=targets.boxes3d[:, 3:6])  # else heights learn to make up for errors of place
+    placed = replace(values, size_m=targets.boxes3d[:, SIZE])  # else heights learn to make up for errors of place
     labelled = targets.boxes3d + functional.pad(turn[:, None], (6, 0))
     errors = {
         "amodel_offset": offset.abs().sum(dim=1),
         "dep": (depths_m(values.dep, seen_by) - targets.depth_m).abs() * trained_scale,
-        "dim": (values.size_m - targets.boxes3d[:, 3:6]).abs().sum(dim=1),
+        "dim": (values.size_m - targets.boxes3d[:, SIZE]).abs().sum(dim=1),
         "rot": _bin_loss(values.rot, targets.alpha_rad + turn),
         "corners": _corner_loss(boxes3d(placed, targets.cameras, decode), labelled),
     }

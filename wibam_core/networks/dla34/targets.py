@@ -10,6 +10,7 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
+from wibam_core.geometry.box3d import XYZ, YAW
 from wibam_core.geometry.camera import Camera
 from wibam_core.geometry.torch_ops import CameraTensors
 from wibam_core.networks.dla34.architecture import STRIDE
@@ -102,7 +103,7 @@ def _taught(view: LabelledView, height: int, width: int) -> dict[str, NDArray]:
 def _lifted(camera: Camera, boxes3d: FloatArray, confidence: FloatArray, centre2d: FloatArray) -> dict[str, NDArray]:
     known = np.isfinite(boxes3d.sum(axis=1))
     boxes = np.where(known[:, None], boxes3d, _NO_BOX)
-    uv, depth_m = camera.project(boxes[:, :3])
+    uv, depth_m = camera.project(boxes[:, XYZ])
     known &= depth_m > 0.5
     uv = np.where(known[:, None], uv, 0.0)
     centre3d = uv / STRIDE
@@ -112,7 +113,7 @@ def _lifted(camera: Camera, boxes3d: FloatArray, confidence: FloatArray, centre2
         "lifted": np.where(known, confidence, 0.0),
         "centre3d": centre3d,
         "depth_m": depth_m,
-        "alpha_rad": np.arctan2(rays[:, 1], rays[:, 0]) - np.pi / 2 - boxes[:, 6],
+        "alpha_rad": np.arctan2(rays[:, 1], rays[:, 0]) - np.pi / 2 - boxes[:, YAW],
         "boxes3d": boxes,
     }
 

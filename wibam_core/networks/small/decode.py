@@ -10,6 +10,7 @@ from dataclasses import dataclass, replace
 import torch
 from torch import Tensor
 
+from wibam_core.geometry.box3d import HEIGHT, SIZE, XYZ
 from wibam_core.geometry.torch_ops import CameraTensors, azimuths_rad, focal_px, rays, wrap_angle
 from wibam_core.models.peaks import cell_centres_px
 from wibam_core.models.trunk import STRIDE
@@ -240,9 +241,9 @@ def standard_deviations(values: PeakValues, boxes: Tensor, cameras: CameraTensor
     lie beyond the horizon, it is the whole distance.
     """
     seen_by = cameras[values.image]
-    values, plane_m = _aimed(values, boxes[:, 5] / 2, decode)
+    values, plane_m = _aimed(values, boxes[:, HEIGHT] / 2, decode)
     scale = deviations(values)
-    size_sd = boxes[:, 3:6] * scale[:, 2:3]
+    size_sd = boxes[:, SIZE] * scale[:, 2:3]
     plane_share = _plane_share(seen_by, values, plane_m, decode)
 
     def spread(name: str, step: Tensor) -> Tensor:
@@ -259,7 +260,7 @@ def standard_deviations(values: PeakValues, boxes: Tensor, cameras: CameraTensor
         variance = variance + spread("depth", scale[:, 1])
     else:
         _, higher, _ = _rays_within(seen_by, values, scale)
-        away = (boxes[:, :3] - seen_by.centre_m).square()
+        away = (boxes[:, XYZ] - seen_by.centre_m).square()
         variance = variance + torch.where(_grazes(higher)[:, None], away, torch.zeros_like(away))
     z_sd = variance[:, 2:].sqrt() if decode == "depth" else size_sd[:, 2:] / 2
     return torch.cat([variance[:, :2].sqrt(), z_sd, size_sd, scale[:, 3:4].clamp(max=torch.pi)], dim=-1)

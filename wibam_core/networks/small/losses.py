@@ -8,6 +8,7 @@ import torch
 from torch import Tensor
 from torch.nn import functional
 
+from wibam_core.geometry.box3d import YAW
 from wibam_core.geometry.torch_ops import corners, wrap_angle
 from wibam_core.networks.small.architecture import SmallOutputs
 from wibam_core.networks.small.decode import PeakValues, boxes3d, gather
@@ -88,7 +89,7 @@ def _heading_signs(values: PeakValues, targets: Targets) -> Tensor:
 def _corner_loss(predicted: Tensor, labelled: Tensor, sign: Tensor) -> Tensor:
     """(N,) mean smooth L1 between the ground corners of boxes (N, 7), m; labels are turned round by ``sign`` −1."""
     turn = torch.zeros_like(labelled)
-    turn[:, 6] = torch.pi * (sign < 0)
+    turn[:, YAW] = torch.pi * (sign < 0)
     ours = corners(predicted)[:, _BOTTOM, :2]
     theirs = corners(labelled + turn)[:, _BOTTOM, :2]
     far = (ours - theirs).detach().abs().amax(dim=(1, 2)) > _MAX_CORNER_RANGE_M

@@ -11,6 +11,7 @@ from __future__ import annotations
 import torch
 from torch import Tensor
 
+from wibam_core.geometry.box3d import SIZE, XY, XYZ, YAW
 from wibam_core.geometry.gauss_newton import cauchy_weights, newton_steps, normal_equations
 from wibam_core.geometry.occlusion import hidden_edges, stands_before
 from wibam_core.geometry.torch_ops import CameraTensors, focal_px, project, vehicle_to_world, wrap_angle
@@ -43,6 +44,7 @@ _NEAREST_M = 0.5
 
 #: The parameters: x, y, log length, log width, log height, yaw; derivatives are differences over so much each way.
 _DELTAS = (0.05, 0.05, 0.01, 0.01, 0.01, 0.01)
+_PLACE, _LOG_SIZE, _TURN = slice(0, 2), slice(2, 5), slice(5, 6)
 _CENTRE, _DEPTH, _SIZE, _YAW, _FOOTPRINT = map(
     UNCERTAINTY_GROUPS.index, ("centre3d", "depth", "size", "yaw", "footprint")
 )
@@ -65,26 +67,26 @@ def reconciled(
     if not len(boxes):
         return boxes, sd
     problem = _Problem(values, boxes, cameras, edges)
-    parameters = torch.cat([boxes[:, :2], boxes[:, 3:6].log(), boxes[:, 6:]], dim=1)
+    parameters = torch.cat([boxes[:, XY], boxes[:, SIZE].log(), boxes[:, YAW, None]], dim=1)
     for _ in range(_STEPS):
         information, gradient = problem.normal_equations(parameters)
         parameters = parameters + newton_steps(information, gradient)
     variance = torch.linalg.inv_ex(information)[0].diagonal(dim1=-2, dim2=-1)
     found, own = _boxes(parameters), variance.clamp_min(0.0).sqrt()
-    size_sd = found[:, 3:6] * own[:, 2:5]
-    yaw_sd = (problem.yaw_trust * own[:, 5:]).clamp(max=torch.pi)
-    found_sd = torch.cat([own[:, :2], size_sd[:, 2:] / 2, size_sd, yaw_sd], dim=1)
+    size_sd = found[:, SIZE] * own[:, _LOG_SIZE]
+    yaw_sd = (problem.yaw_trust * own[:, _TURN]).clamp(max=torch.pi)
+    found_sd = torch.cat([own[:, _PLACE], size_sd[:, 2:] / 2, size_sd, yaw_sd], dim=1)
     good = (variance > 0).all(dim=1) & found.isfinite().all(dim=1)
-    good &= torch.linalg.norm((found - boxes)[:, :2], dim=1) <= _FARTHEST_M
-    good &= (found / boxes)[:, 3:6].log().abs().amax(dim=1) <= _FARTHEST_LOG_SIZE
-    good &= wrap_angle(found[:, 6] - boxes[:, 6]).abs() <= _FARTHEST_RAD
+    good &= torch.linalg.norm((found - boxes)[:, XY], dim=1) <= _FARTHEST_M
+    good &= (found / boxes)[:, SIZE].log().abs().amax(dim=1) <= _FARTHEST_LOG_SIZE
+    good &= wrap_angle(found[:, YAW] - boxes[:, YAW]).abs() <= _FARTHEST_RAD
     return torch.where(good[:, None], found, boxes), torch.where(good[:, None], found_sd, sd)
 
 
 def _boxes(parameters: Tensor) -> Tensor:
     """Boxes (..., 7) of parameters (..., 6)."""
-    size = parameters[..., 2:5].exp()
-    return torch.cat([parameters[..., :2], size[..., 2:] / 2, size, wrap_angle(parameters[..., 5:])], dim=-1)
+    size = parameters[..., _LOG_SIZE].exp()
+    return torch.cat([parameters[..., _PLACE], size[..., 2:] / 2, size, wrap_angle(parameters[..., _TURN])], dim=-1)
 
 
 class _Problem:
@@ -111,7 +113,7 @@ class _Problem:
         self._edges, self._edge_weight = px[:, None], (told / sd_px)[:, None]  # with a dimension for the guesses
         self._footprint, self._centre = footprints_px(values)[:, None], centres3d_px(values)[:, None]
         self._log_depth, self._focal_px = values.depth[:, None, None], focal_px(self._seen_by)[:, None, None]
-        self._log_size, self._yaw = boxes[:, None, 3:6].log(), boxes[:, None, 6:]
+        self._log_size, self._yaw = boxes[:, None, SIZE].log(), boxes[:, None, YAW, None]
         self._weight = 1 / deviations(values)[:, None]
 
     def normal_equations(self, parameters: Tensor) -> tuple[Tensor, Tensor]:
@@ -126,14 +128,14 @@ class _Problem:
 
     def _outline(self, boxes: Tensor) -> tuple[Tensor, Tensor]:
         """Pixels (N, K, P, 2) and depths (N, K, P) of the points of the bodies of boxes (N, K, 7)."""
-        return project(self._seen_by, vehicle_to_world(boxes, self._bodies[:, None] * boxes[..., None, 3:6]))
+        return project(self._seen_by, vehicle_to_world(boxes, self._bodies[:, None] * boxes[..., None, SIZE]))
 
     def _residuals(self, parameters: Tensor) -> Tensor:
         """(N, K, 13) of K guesses (N, K, 6) at the parameters of each vehicle."""
-        boxes, log_size, yaw = _boxes(parameters), parameters[..., 2:5], parameters[..., 5:]
+        boxes, log_size, yaw = _boxes(parameters), parameters[..., _LOG_SIZE], parameters[..., _TURN]
         outline, _ = self._outline(boxes)
         edges = torch.cat([outline.amin(dim=-2), outline.amax(dim=-2)], dim=-1)
-        centre = boxes[..., :3]
+        centre = boxes[..., XYZ]
         footprint = centre * torch.tensor([1.0, 1.0, 0.0], dtype=centre.dtype)
         pixels, depths = project(self._seen_by, torch.stack([footprint, centre], dim=-2))
         log_depth = (depths[..., -1:].clamp_min(0.1) * REFERENCE_FOCAL_PX / self._focal_px).log()

@@ -11,6 +11,7 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
+from wibam_core.geometry.box3d import HEIGHT, SIZE, XYZ, YAW
 from wibam_core.geometry.camera import Camera
 from wibam_core.geometry.pixels import resized_px
 from wibam_core.geometry.torch_ops import CameraTensors
@@ -144,17 +145,17 @@ def _lifted_values(
     """The weights (N,) of the 3D values of the taught cells, and the values; weight 0 where they do not exist."""
     known = np.isfinite(view.boxes3d.sum(axis=1))
     boxes = np.where(known[:, None], view.boxes3d, [0.0, 0.0, 0.0, 1.0, 1.0, 1.0, 0.0])
-    uv, depth = view.camera.project(boxes[:, :3])
-    ground, ground_depth = view.camera.project(boxes[:, :3] - boxes[:, 5:6] / 2 * [0.0, 0.0, 1.0])
+    uv, depth = view.camera.project(boxes[:, XYZ])
+    ground, ground_depth = view.camera.project(boxes[:, XYZ] - boxes[:, HEIGHT, None] / 2 * [0.0, 0.0, 1.0])
     known &= np.minimum(depth, ground_depth) > 0.5
     uv, ground = (np.where(known[:, None], pixels, 0.0) for pixels in (uv, ground))
     centre3d, footprint = (resized_px(pixels, 1 / STRIDE)[vehicle] for pixels in (uv, ground))
     farthest = MAX_CENTRE_OFFSET_CELLS * max(1.0, view.camera.width_px / INPUT_WIDTH_PX)
     known_cell = known[vehicle] & (np.abs(centre3d - centre).max(axis=1, initial=0) <= farthest)
     rays = view.camera.rays(uv)
-    alpha = boxes[:, 6] - np.arctan2(rays[:, 1], rays[:, 0])
+    alpha = boxes[:, YAW] - np.arctan2(rays[:, 1], rays[:, 0])
     virtual_depth = np.where(known, depth, 1.0) * REFERENCE_FOCAL_PX / _focal_px(view.camera)
-    log_size = np.log(boxes[:, 3:6] / _MEAN_SIZES[view.classes])
+    log_size = np.log(boxes[:, SIZE] / _MEAN_SIZES[view.classes])
     weight = np.where(known_cell, view.confidence[vehicle], 0.0)
     return weight, {
         "centre3d": (centre3d - cells).astype(np.float32),
