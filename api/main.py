@@ -16,7 +16,7 @@ from starlette.responses import HTMLResponse, RedirectResponse
 from api.docs_page import DOCS_PAGE
 from api.housekeeping import Housekeeper
 from api.problems import Problem, add_handlers
-from api.routes import jobs, results, sites, system, uploads
+from api.routes import exports, jobs, results, sites, system, uploads
 from api.security import Gate
 from api.services import Services
 from api.tus import TusHeaders
@@ -33,7 +33,8 @@ calibration, without hand labels; get 7DoF tracks and the conflicts between road
 1. `POST /v1/sites`: describe the cameras. `PUT /v1/sites/{id}` corrects the description; recordings stay.
 2. `POST /v1/uploads` (tus 1.0): send a recording for each camera.
 3. `POST /v1/sites/{id}/jobs`: start. `GET /v1/jobs/{id}/events` tells how it goes.
-4. `GET /v1/jobs/{id}/metrics`, `/model`, `/tracks`, `/conflicts`, `/report`: the results.
+4. `GET /v1/jobs/{id}/metrics`, `/model`, `/tracks`, `/conflicts`, `/report`: the results;
+   `/exports/{format}` has them in formats of others.
 
 Everything under `/v1` needs `Authorization: Bearer TOKEN`. Errors are `application/problem+json` (RFC 9457) with a
 stable `code`, a sentence and a `hint`.
@@ -73,6 +74,7 @@ def create_app(settings: ServiceSettings) -> FastAPI:
         uploads.router,
         jobs.router,
         results.router,
+        exports.router,
         results.public_router,
         system.options_router,
         system.router,

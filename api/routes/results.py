@@ -33,6 +33,7 @@ from wibam_core.artifacts import catalogue
 from wibam_core.documents.conflicts import Conflicts
 from wibam_core.documents.metrics import Metrics
 from wibam_core.documents.tracks import TrackPage
+from wibam_core.formats.outlet import Outlet
 from wibam_core.jobs.records import Job
 from wibam_core.road_users import RoadUserClass
 
@@ -225,27 +226,8 @@ def _csv(path: Path, query: TrackQuery) -> Iterator[bytes]:
             yield buffer.getvalue()
 
 
-class _Outlet(io.RawIOBase):
-    """A file to write to whose bytes are taken away now and then."""
-
-    def __init__(self) -> None:
-        self._parts: list[bytes] = []
-
-    def writable(self) -> bool:
-        return True
-
-    def write(self, data: Any) -> int:
-        self._parts.append(bytes(data))
-        return len(data)
-
-    def take(self) -> bytes:
-        data = b"".join(self._parts)
-        self._parts.clear()
-        return data
-
-
 def _parquet(path: Path, query: TrackQuery) -> Iterator[bytes]:
-    outlet = _Outlet()
+    outlet = Outlet()
     with query_tracks(path, query) as batches:
         with pyarrow.parquet.ParquetWriter(outlet, batches.schema, compression="zstd") as writer:
             for batch in batches:

@@ -50,6 +50,13 @@ class JobResults:
                 found += self._files(stage.name, stage.hash).values()
         return found
 
+    def finished(self, job: Job) -> ArtifactReader:
+        """What the job's finished stages have made."""
+        folders = {
+            stage.name: self._store.find(stage.name, stage.hash) for stage in job.stages if stage.state.has_outputs
+        }
+        return ArtifactReader({name: folder for name, folder in folders.items() if folder is not None})
+
     def named(self, job: Job, stage_name: str, name: str) -> ResultFile:
         """One file by its name.
 

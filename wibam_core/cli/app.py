@@ -7,6 +7,7 @@ import typer
 from wibam_core.cli import jobs, weights
 from wibam_core.cli.demo import demo
 from wibam_core.cli.detect import detect
+from wibam_core.cli.export import export
 from wibam_core.cli.run import run
 from wibam_core.cli.serve import serve
 from wibam_core.cli.signals import signals
@@ -23,7 +24,7 @@ app = typer.Typer(
     pretty_exceptions_enable=False,
     add_completion=False,
 )
-for command in (demo, run, serve, upload, sites, tracks, simulate, detect, signals, track):
+for command in (demo, run, serve, upload, sites, tracks, export, simulate, detect, signals, track):
     app.command()(command)
 app.add_typer(jobs.app, name="jobs")
 app.add_typer(weights.app, name="weights")

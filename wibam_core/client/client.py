@@ -7,16 +7,21 @@ from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
 from types import TracebackType
 from typing import Any, Self
+from urllib.parse import quote
 
 from wibam_core.client.connection import Connection
 from wibam_core.client.uploading import UploadProgress, send_file
 from wibam_core.client.views import ArtifactView, FileView, JobView, PlannedView, SiteView
 from wibam_core.documents.conflicts import Conflicts
+from wibam_core.documents.exports import BoxSource, ExportOffer
 from wibam_core.documents.metrics import Metrics
 from wibam_core.documents.tracks import TrackPage, TrackState
 from wibam_core.errors import ServiceUnavailable
 from wibam_core.jobs.records import Purpose
 from wibam_core.site import Site
+
+#: Formats that need all of a long recording say nothing until they are written.
+_EXPORT_TIMEOUT_S = 600.0
 
 
 class WibamClient:
@@ -222,6 +227,22 @@ class WibamClient:
     def report_url(self, job_id: str) -> str:
         """A link that opens the report in a browser, for some minutes."""
         return self._connection.address(self._connection.json("GET", f"/v1/jobs/{job_id}/report-link")["url"])
+
+    def exports(self, job_id: str) -> list[ExportOffer]:
+        """The formats that a job can be exported in, and what is missing for the others."""
+        return [ExportOffer.model_validate(item) for item in self._connection.json("GET", f"/v1/jobs/{job_id}/exports")]
+
+    def download_export(self, job_id: str, format: str, target: Path, boxes: BoxSource = BoxSource.FITS) -> Path:
+        """The results in a format of others: one file, or a zip archive of several.
+
+        Args:
+            job_id: which.
+            format: its name, see `exports`.
+            target: a file, or a folder to put it into under the name that the service gives it.
+            boxes: which 3D boxes, in formats that hold some.
+        """
+        path = f"/v1/jobs/{job_id}/exports/{quote(format, safe='')}"
+        return self._connection.download(path, target, {"boxes": boxes.value}, timeout_s=_EXPORT_TIMEOUT_S)
 
     def artifacts(self, job_id: str) -> list[ArtifactView]:
         return [

@@ -7,7 +7,7 @@ import hashlib
 import ipaddress
 import re
 from collections.abc import Mapping, Sequence
-from pathlib import Path
+from pathlib import Path, PurePath
 from typing import Any
 
 import httpx
@@ -61,15 +61,27 @@ class Connection:
             values["headers"] = {**values.get("headers", {}), "Content-Type": "application/json"}
         return self.request(method, path, **values).json()
 
-    def download(self, path: str, target: Path, params: Mapping[str, Any] | None = None) -> Path:
-        """Fetch into ``target``, which appears only once it is whole and, where the service says its digest, right."""
-        partial = target.with_name(target.name + ".part")
+    def download(
+        self, path: str, target: Path, params: Mapping[str, Any] | None = None, timeout_s: float | None = None
+    ) -> Path:
+        """Fetch into a file, which appears only once it is whole and, where the service says its digest, right.
+
+        Args:
+            path: of the resource.
+            target: the file, or a folder in which it gets the name that the service gives it.
+            params: of the query.
+            timeout_s: without news; None as for other requests.
+        """
+        partial = target / ".wibam.part" if target.is_dir() else target.with_name(target.name + ".part")
         digest = hashlib.sha256()
+        timeout = httpx.USE_CLIENT_DEFAULT if timeout_s is None else timeout_s
         try:
-            with self._http.stream("GET", path, params=dict(params or {})) as response:
+            with self._http.stream("GET", path, params=dict(params or {}), timeout=timeout) as response:
                 if response.is_error:
                     response.read()
                 _raise_for_problem(response)
+                if target.is_dir():
+                    target = target / _filename(response)
                 with partial.open("wb") as file:
                     for block in response.iter_bytes():
                         file.write(block)
@@ -83,6 +95,12 @@ class Connection:
             raise ChecksumMismatch(f"{path} was damaged on its way", hint="Download it again.")
         partial.replace(target)
         return target
+
+
+def _filename(response: httpx.Response) -> str:
+    """What the service calls a download; never a path."""
+    found = re.search(r'filename="([^"]+)"', response.headers.get("Content-Disposition", ""))
+    return PurePath(found[1]).name if found else "download"
 
 
 def is_this_machine(host: str) -> bool:

@@ -34,8 +34,9 @@ _SINGLE: tuple[ExchangeFormat, ...] = (
     WibamDataset(),
 )
 
+_BY_NAME = {fmt.name: fmt for fmt in (*_SINGLE, Everything(_SINGLE))}
 #: By name; the last writes all others.
-FORMATS: Mapping[str, ExchangeFormat] = MappingProxyType({fmt.name: fmt for fmt in (*_SINGLE, Everything(_SINGLE))})
+FORMATS: Mapping[str, ExchangeFormat] = MappingProxyType(_BY_NAME)
 
 
 def format_of(name: str) -> ExchangeFormat:

@@ -140,6 +140,13 @@ def run_pipeline(
     return PipelineResult(ArtifactReader(folders), summaries, seconds)
 
 
+def published(folder: SiteFolder, store: StageStore, config: PipelineConfig) -> ArtifactReader:
+    """What `run_pipeline` has made so far, with these options."""
+    stages = plan(folder.site, config, folder.digests())
+    folders = {planned.name: store.find(planned.name, planned.digest) for planned in stages}
+    return ArtifactReader({name: made for name, made in folders.items() if made is not None})
+
+
 def _made(
     folder: SiteFolder,
     store: StageStore,

@@ -1,0 +1,61 @@
+"""What a job has produced, in the formats of others."""
+
+from __future__ import annotations
+
+import mimetypes
+from typing import Annotated, Any
+
+from fastapi import APIRouter, Path, Query
+from starlette.responses import StreamingResponse
+
+from api.parameters import ONLY_KNOWN_PARAMETERS
+from api.problems import documented
+from api.services import Services, ServicesDep
+from wibam_core.documents.exports import BoxSource, ExportOffer
+from wibam_core.exchange.registry import FORMATS
+from wibam_core.exports import ExportSource, offers, open_export
+
+router = APIRouter(prefix="/v1/jobs/{job_id}/exports", tags=["results"], responses=documented(401, 404))
+_BINARY = "application/octet-stream"
+_FILE: dict[int | str, dict[str, Any]] = {
+    200: {"content": {_BINARY: {}, "application/zip": {}}, "description": "A file, or a zip archive of several"}
+}
+
+
+@router.get("", summary="List the formats that a job can be exported in")
+def exports(job_id: str, services: ServicesDep) -> list[ExportOffer]:
+    """All formats, with what each loses, and what is still missing for it."""
+    return offers(_source(services, job_id))
+
+
+@router.get(
+    "/{format}",
+    summary="Results in a format of others",
+    response_class=StreamingResponse,
+    dependencies=[ONLY_KNOWN_PARAMETERS],
+    responses={**_FILE, **documented(422)},
+)
+def export(
+    job_id: str,
+    format: Annotated[str, Path(json_schema_extra=lambda schema: schema.update(enum=list(FORMATS)))],
+    services: ServicesDep,
+    boxes: Annotated[BoxSource, Query(description="which 3D boxes, in formats that hold some")] = BoxSource.FITS,
+) -> StreamingResponse:
+    """One file, or a zip archive where the format has several. `GET /v1/jobs/{job_id}/exports` lists the formats."""
+    opened = open_export(format, _source(services, job_id), boxes)
+    headers = {
+        "Content-Disposition": f'attachment; filename="{job_id}-{opened.name}"',
+        "X-Content-Type-Options": "nosniff",
+        "Content-Security-Policy": "sandbox",
+        **({} if opened.size_bytes is None else {"Content-Length": str(opened.size_bytes)}),
+    }
+    media_type = mimetypes.guess_type(opened.name)[0] or _BINARY
+    return StreamingResponse(opened.blocks, media_type=media_type, headers=headers)
+
+
+def _source(services: Services, job_id: str) -> ExportSource:
+    job = services.jobs.job(job_id)
+    labels = job.assets.get("labels")
+    return ExportSource(
+        job.site, services.results.finished(job), None if labels is None else services.folder.file(labels)
+    )

@@ -1,0 +1,79 @@
+"""`wibam export`: what a job has made, in a format of others."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+from rich.console import Console
+from rich.markup import escape
+
+from wibam_core.cli.display import list_table, print_list
+from wibam_core.cli.run import parse_options
+from wibam_core.cli.service import DEFAULT_URL, Token, Url, connect
+from wibam_core.documents.exports import BoxSource, ExportOffer
+
+if TYPE_CHECKING:  # formats take long to import, and a service has its own
+    from wibam_core.exports import ExportSource
+
+
+def export(
+    job_or_folder: Annotated[str, typer.Argument(help="The id of a job, or a site folder that `wibam run` worked on.")],
+    format: Annotated[str | None, typer.Argument(help="The format's name; left out, all are listed.")] = None,
+    url: Url = DEFAULT_URL,
+    token: Token = "",
+    out: Annotated[Path, typer.Option(help="A file, or a folder to put it into under its own name.")] = Path(),
+    boxes: Annotated[BoxSource, typer.Option(help="3D boxes of the fits, or of the network.")] = BoxSource.FITS,
+    option: Annotated[list[str] | None, typer.Option("--set", help="Of a folder: as for `wibam run`.")] = None,
+    outputs: Annotated[Path | None, typer.Option(help="Of a folder: what `wibam run` had as --out.")] = None,
+) -> None:
+    """Write what a job has made in a format of others: one file, or a zip archive of several."""
+    console = Console()
+    site_dir = Path(job_or_folder)
+    if site_dir.is_dir():
+        source = _source(site_dir, option or [], outputs)
+        if format is None:
+            from wibam_core.exports import offers
+
+            _print_offers(console, offers(source))
+            return
+        written = _write(source, format, boxes, out, site_dir.resolve().name)
+    else:
+        with connect(url, token) as client:
+            if format is None:
+                _print_offers(console, client.exports(job_or_folder))
+                return
+            written = client.download_export(job_or_folder, format, out, boxes)
+    console.print(f"[bold]{escape(str(written))}[/]", highlight=False, soft_wrap=True)
+
+
+def _print_offers(console: Console, offers: Sequence[ExportOffer]) -> None:
+    table = list_table("format", others=("", "missing", "loses"))
+    for offer in offers:
+        table.add_row(offer.name, offer.title, ", ".join(offer.missing).replace("_", " ") or "-", offer.loses)
+    print_list(console, table)
+
+
+def _source(site_dir: Path, assignments: list[str], outputs: Path | None) -> ExportSource:
+    from wibam_core.config import PipelineConfig
+    from wibam_core.exports import ExportSource
+    from wibam_core.stages.runner import SiteFolder, published
+    from wibam_core.stages.store import StageStore
+
+    folder = SiteFolder.load(site_dir)
+    config = PipelineConfig.parse(parse_options(assignments))
+    artifacts = published(folder, StageStore(outputs or site_dir / "outputs"), config)
+    return ExportSource(folder.site, artifacts, folder.assets.get("labels"))
+
+
+def _write(source: ExportSource, format: str, boxes: BoxSource, out: Path, name: str) -> Path:
+    from wibam_core.exports import open_export
+
+    opened = open_export(format, source, boxes)
+    target = out / f"{name}-{opened.name}" if out.is_dir() else out
+    with target.open("wb") as file:
+        for block in opened.blocks:
+            file.write(block)
+    return target
