@@ -8,6 +8,7 @@ from wibam_core.cli import jobs, weights
 from wibam_core.cli.demo import demo
 from wibam_core.cli.detect import detect
 from wibam_core.cli.export import export
+from wibam_core.cli.importing import import_data
 from wibam_core.cli.run import run
 from wibam_core.cli.serve import serve
 from wibam_core.cli.signals import signals
@@ -26,5 +27,6 @@ app = typer.Typer(
 )
 for command in (demo, run, serve, upload, sites, tracks, export, simulate, detect, signals, track):
     app.command()(command)
+app.command("import")(import_data)
 app.add_typer(jobs.app, name="jobs")
 app.add_typer(weights.app, name="weights")

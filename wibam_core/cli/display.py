@@ -19,6 +19,7 @@ _MARKS = {
     "pending": "[dim]·[/]",
     "running": "[cyan]▶[/]",
     "succeeded": "[green]✓[/]",
+    "given": "[green]◆[/]",
     "reused": "[green]↺[/]",
     "failed": "[red]✗[/]",
     "cancelled": "[yellow]■[/]",
@@ -90,15 +91,15 @@ class StageDisplay:
         figures: Mapping[str, Any] | None = None,
         seconds: float | None = None,
     ) -> None:
-        """Show a stage's state ("pending", "running", "succeeded", "reused", "failed", "cancelled")."""
+        """Show a stage's state ("pending", "running", "given", "succeeded", "reused", ...)."""
         line = self._lines[stage]
         if state == "running" and line.state != "running":
             self._progress.start_task(line.task)
         shown = "  ".join([message, *(f"{k} {v:.3g}" for k, v in (figures or {}).items())]).strip()
-        ended = state in ("succeeded", "reused", "failed", "cancelled")
+        ended = state in ("given", "succeeded", "reused", "failed", "cancelled")
         self._progress.update(
             line.task,
-            completed=1.0 if state in ("succeeded", "reused") else fraction,
+            completed=1.0 if state in ("given", "succeeded", "reused") else fraction,
             mark=_MARKS.get(state, " "),
             message=shown,
         )

@@ -63,7 +63,8 @@ def run(
     if dry_run:
         for stage in planned:
             kept = store.find(stage.name, stage.digest) is not None and stage.name not in again
-            console.print(f"{'kept' if kept else 'to run':>7}  {STAGES[stage.name].title}", highlight=False)
+            state = "given" if stage.name in folder.given else "kept" if kept else "to run"
+            console.print(f"{state:>7}  {STAGES[stage.name].title}", highlight=False)
         return
     for stage in planned:
         if stage.name in again:

@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from types import MappingProxyType
 
 from wibam_core.errors import NotFound
-from wibam_core.exchange.base import ExchangeFormat
+from wibam_core.exchange.base import ExchangeFormat, ReadableFormat
 from wibam_core.exchange.coco import Coco
 from wibam_core.exchange.everything import Everything
 from wibam_core.exchange.geojson import GeoJson
@@ -20,23 +20,28 @@ from wibam_core.exchange.projected_csv import ProjectedCsv
 from wibam_core.exchange.ssam import Ssam
 from wibam_core.exchange.wibam.dataset import WibamDataset
 
-_SINGLE: tuple[ExchangeFormat, ...] = (
+_READABLE: tuple[ReadableFormat, ...] = (
     Coco(),
-    GeoJson(),
     Kitti(),
     LevelX(),
     MotChallenge(),
     NuScenesResults(),
     OpenLabel(),
+    WibamDataset(),
+)
+_WRITTEN_ONLY: tuple[ExchangeFormat, ...] = (
+    GeoJson(),
     Ottrk(),
     ProjectedCsv(),
     Ssam(),
-    WibamDataset(),
 )
+_SINGLE = (*_READABLE, *_WRITTEN_ONLY)
 
 _BY_NAME = {fmt.name: fmt for fmt in (*_SINGLE, Everything(_SINGLE))}
 #: By name; the last writes all others.
 FORMATS: Mapping[str, ExchangeFormat] = MappingProxyType(_BY_NAME)
+#: Those of them that can be read.
+READABLE: Mapping[str, ReadableFormat] = MappingProxyType({fmt.name: fmt for fmt in _READABLE})
 
 
 def format_of(name: str) -> ExchangeFormat:

@@ -76,7 +76,9 @@ class FrameStoreWriter:
         self._rows: list[tuple[int, str, int, int, int]] = []
         self._lock = threading.Lock()
 
-    def add(self, camera_id: str, time_ns: int, frame_time_ns: int, image_bgr: Image) -> None:
+    def add(
+        self, camera_id: str, time_ns: int, frame_time_ns: int, image_bgr: Image, jpeg: bytes | None = None
+    ) -> None:
         """Store a camera's frame for an instant. The same frame for two instants in a row is stored once.
 
         Args:
@@ -84,6 +86,7 @@ class FrameStoreWriter:
             time_ns: the instant.
             frame_time_ns: when the frame was exposed, reference clock.
             image_bgr: (H, W, 3) uint8, all of a camera's of one size.
+            jpeg: the image as a JPEG file, where it came as one: it is stored as it is.
         """
         height, width = image_bgr.shape[:2]
         with self._lock:
@@ -94,14 +97,18 @@ class FrameStoreWriter:
         if (width, height) != pack.size:
             raise ValueError(f"camera {camera_id} has frames of {pack.size} px, not {(width, height)} px")
         if frame_time_ns != pack.last_frame_ns:
-            done, data = cv2.imencode(".jpg", image_bgr, self._parameters)
-            if not done:
-                raise ValueError(f"a frame of shape {image_bgr.shape} and type {image_bgr.dtype} cannot be stored")
+            data = self._encoded(image_bgr) if jpeg is None else jpeg
             pack.place = (sum(pack.place), len(data))
             pack.last_frame_ns = frame_time_ns
-            pack.file.write(data.tobytes())
+            pack.file.write(data)
         with self._lock:
             self._rows.append((time_ns, camera_id, frame_time_ns, *pack.place))
+
+    def _encoded(self, image_bgr: Image) -> bytes:
+        done, data = cv2.imencode(".jpg", image_bgr, self._parameters)
+        if not done:
+            raise ValueError(f"a frame of shape {image_bgr.shape} and type {image_bgr.dtype} cannot be stored")
+        return data.tobytes()
 
     def close(self, native_sizes: Mapping[str, Size] | None = None) -> None:
         """Finish the store.

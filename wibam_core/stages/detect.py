@@ -3,18 +3,16 @@
 from __future__ import annotations
 
 import os
-from collections import Counter
 from collections.abc import Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 
 from wibam_core.artifacts.catalogue import DETECTION_STATISTICS, DETECTIONS, FRAMES
 from wibam_core.config import DetectConfig
 from wibam_core.detection.detector import BUNDLED, Detector, load_detector
-from wibam_core.documents.statistics import DetectionStatistics
+from wibam_core.detection.statistics import detection_statistics
 from wibam_core.errors import InputError, NoVehicles
 from wibam_core.formats.framestore import FrameStore
 from wibam_core.progress import Progress, part
-from wibam_core.road_users import CLASSES
 from wibam_core.scene import AnnotatedInstant, Detections2D, FrameSet
 from wibam_core.stages.base import StageContext, Summary
 from wibam_core.stages.edges import refine_all
@@ -41,18 +39,7 @@ def run(context: StageContext, config: DetectConfig) -> Summary:
         raise NoVehicles(f"no vehicle was detected in {frames} frames of {len(store.camera_ids)} cameras")
     if refined:
         instants = list(refine_all(store, instants, config, part(context.progress, 0.5, 1.0)))
-    boxes: Counter[str] = Counter()
-    classes: Counter[str] = Counter()
-    for instant in instants:
-        for camera_id, seen in instant.detections.items():
-            boxes[camera_id] += len(seen)
-            classes.update(CLASSES[number].value for number in seen.classes)
-    statistics = DetectionStatistics(
-        frames=frames,
-        boxes=boxes.total(),
-        boxes_by_camera={camera_id: boxes[camera_id] for camera_id in store.camera_ids},
-        boxes_by_class={kind.value: classes[kind.value] for kind in CLASSES},
-    )
+    statistics = detection_statistics(instants, store.camera_ids)
     context.write(DETECTIONS, instants)
     context.write(DETECTION_STATISTICS, statistics)
     return statistics.model_dump()

@@ -10,7 +10,7 @@ from __future__ import annotations
 import hashlib
 import json
 from collections.abc import Callable, Container, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from types import MappingProxyType
 from typing import Any
 
@@ -165,10 +165,11 @@ STAGES: Mapping[str, StageSpec] = MappingProxyType({spec.name: spec for spec in 
 
 @dataclass(frozen=True)
 class InputDigests:
-    """SHA-256 (hex) of the uploaded files: recordings by camera id, assets by name."""
+    """SHA-256 (hex) of the uploaded files: recordings by camera id, assets by name, outputs that are given by stage."""
 
     recordings: Mapping[str, str]
     assets: Mapping[str, str]
+    given: Mapping[str, str] = field(default_factory=lambda: MappingProxyType({}))
 
 
 @dataclass(frozen=True)
@@ -184,7 +185,8 @@ def plan(site: Site, config: PipelineConfig, inputs: InputDigests) -> tuple[Plan
     """All stages of a job in order, with the addresses of their outputs.
 
     Assets that a stage only checks, and what it checks them with, belong to its own address, so that new ones are
-    checked, but not to those of the stages after it: new labels train nothing again.
+    checked, but not to those of the stages after it: new labels train nothing again. A stage that is given has the
+    address of what is given, and rests on nothing.
 
     Raises:
         InputError: the options ask for a network that was not given.
@@ -193,6 +195,10 @@ def plan(site: Site, config: PipelineConfig, inputs: InputDigests) -> tuple[Plan
     planned: dict[str, PlannedStage] = {}
     contents: dict[str, str] = {}
     for spec in STAGES.values():
+        if spec.name in inputs.given:
+            contents[spec.name] = _digest_of({"stage": spec.name, "given": inputs.given[spec.name]})
+            planned[spec.name] = PlannedStage(spec.name, contents[spec.name], MappingProxyType({}))
+            continue
         upstream = {name: planned[name].digest for name in spec.requires}
         facts = {
             "stage": spec.name,

@@ -7,6 +7,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any
 
 from wibam_core.artifacts.access import ArtifactReader
@@ -16,7 +17,8 @@ from wibam_core.progress import Progress
 from wibam_core.site import Site
 from wibam_core.stages.base import Summary
 from wibam_core.stages.execute import StageRequest, run_stage
-from wibam_core.stages.graph import InputDigests, PlannedStage, plan
+from wibam_core.stages.given import given_stages, hash_of
+from wibam_core.stages.graph import STAGES, InputDigests, PlannedStage, plan
 from wibam_core.stages.store import StageStore, sha256_of
 
 #: Names of the optional files of a site folder.
@@ -29,24 +31,32 @@ ASSET_FILES: Mapping[str, tuple[str, ...]] = {
 
 @dataclass(frozen=True)
 class SiteFolder:
-    """A site on disk: its description and files."""
+    """A site on disk: its description and files, and the folders of stages that are given, by stage."""
 
     site: Site
     recordings: Mapping[str, Path]
     assets: Mapping[str, Path]
+    given: Mapping[str, Path] = field(default_factory=lambda: MappingProxyType({}))
 
     @classmethod
     def load(cls, folder: Path) -> SiteFolder:
-        """Read ``site.json`` and find the recordings and assets beside it.
+        """Read ``site.json`` and find the recordings, the assets and what is given beside it.
+
+        Recordings may be absent where every stage that reads them is given.
 
         Raises:
-            SiteFileError: if the description is wrong, or a camera has several recordings.
+            SiteFileError: if the description is wrong, a camera has several recordings, or what is given for a stage
+                is not what it makes.
             MissingCamera: if a camera has no recording.
         """
         site = Site.load(folder / "site.json")
+        given = given_stages(folder)
+        needed = any(spec.reads_recordings and spec.name not in given for spec in STAGES.values())
         recordings = {}
         for camera_id in site.camera_ids:
             found = sorted(p for p in (folder / "recordings").glob(f"{camera_id}.*") if p.is_file())
+            if not found and not needed:
+                continue
             if not found:
                 raise MissingCamera(f"there is no recording of camera {camera_id}", camera=camera_id)
             if len(found) > 1:
@@ -62,19 +72,20 @@ class SiteFolder:
             for file in reversed(files)
             if (folder / file).is_file()
         }
-        return cls(site, recordings, assets)
+        return cls(site, recordings, assets, given)
 
     def digests(self) -> InputDigests:
         """SHA-256 of every file."""
         return InputDigests(
             {camera: sha256_of(path) for camera, path in self.recordings.items()},
             {name: sha256_of(path) for name, path in self.assets.items()},
+            {stage: hash_of(path) for stage, path in self.given.items()},
         )
 
 
 @dataclass(frozen=True)
 class StageUpdate:
-    """How a stage is doing. ``state`` is "running", "reused", "succeeded" or "failed"."""
+    """How a stage is doing. ``state`` is "running", "given", "reused", "succeeded" or "failed"."""
 
     stage: str
     state: str
@@ -120,19 +131,20 @@ def run_pipeline(
     summaries: dict[str, Summary] = {}
     seconds: dict[str, float] = {}
     stages = plan(folder.site, config, folder.digests())
-    _check_device(stages, store, config, until)
+    if "finetune" not in folder.given:
+        _check_device(stages, store, config, until)
     for planned in stages:
         name = planned.name
         report = _progress_of(name, listener)
-        found = store.find(name, planned.digest)
-        state = "reused"
+        found = folder.given.get(name) or store.find(name, planned.digest)
+        state = "given" if name in folder.given else "reused"
         if found is None:
             with store.turn(planned.digest, partial(report, 0.0, "another process runs this stage: waiting for it")):
                 found = store.find(name, planned.digest)
                 if found is None:
                     found = _made(folder, store, config, planned, folders, report, listener)
                     state = "succeeded"
-        manifest = store.manifest(name, planned.digest)
+        manifest = ArtifactReader({name: found}).manifest(name)
         folders[name], summaries[name], seconds[name] = found, manifest.summary, manifest.seconds
         listener(StageUpdate(name, state, 1.0, summary=manifest.summary, seconds=manifest.seconds))
         if name == until:

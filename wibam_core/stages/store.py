@@ -88,15 +88,7 @@ class StageStore:
 
         Once it returns, the output would survive a power cut.
         """
-        files = {
-            path.relative_to(attempt.output).as_posix(): FileFacts(bytes=path.stat().st_size, sha256=sha256_of(path))
-            for path in sorted(attempt.output.rglob("*"))
-            if path.is_file()
-        }
-        manifest = Manifest(
-            stage=attempt.stage, digest=attempt.digest, seconds=round(seconds, 3), summary=summary, files=files
-        )
-        (attempt.output / MANIFEST).write_text(manifest.model_dump_json(indent=1), encoding="utf-8")
+        write_manifest(attempt.output, attempt.stage, attempt.digest, summary, seconds)
         for path in (*attempt.output.rglob("*"), attempt.output):
             if path.is_file() or path.is_dir():
                 _sync(path)
@@ -159,6 +151,17 @@ class StageStore:
         with contextlib.suppress(FileNotFoundError):
             folder.rename(aside)
             shutil.rmtree(aside, ignore_errors=True)  # `sweep` tries again
+
+
+def write_manifest(folder: Path, stage: str, digest: str, summary: Summary, seconds: float) -> None:
+    """Write the manifest of a folder that holds all of a stage's outputs."""
+    files = {
+        path.relative_to(folder).as_posix(): FileFacts(bytes=path.stat().st_size, sha256=sha256_of(path))
+        for path in sorted(folder.rglob("*"))
+        if path.is_file()
+    }
+    manifest = Manifest(stage=stage, digest=digest, seconds=round(seconds, 3), summary=summary, files=files)
+    (folder / MANIFEST).write_text(manifest.model_dump_json(indent=1), encoding="utf-8")
 
 
 def sha256_of(path: Path) -> str:

@@ -49,6 +49,15 @@ def test_frames_come_back_by_instant(tmp_path: Path) -> None:
         store.image("b", 2 * PERIOD_NS)
 
 
+def test_a_frame_that_came_as_jpeg_is_stored_as_it_came(tmp_path: Path) -> None:
+    image = picture(90)
+    jpeg = cv2.imencode(".jpg", image, [cv2.IMWRITE_JPEG_QUALITY, 40])[1].tobytes()
+    with FrameStoreWriter(tmp_path / "frames", 95) as writer:
+        writer.add("a", 0, 0, image, jpeg)
+        writer.close()
+    assert (tmp_path / "frames" / "a.jpegs").read_bytes() == jpeg
+
+
 @pytest.mark.parametrize(
     ("rate_hz", "kept"),
     [(12.5, [0, 1, 2, 3, 4]), (100.0, [0, 1, 2, 3, 4]), (6.25, [0, 2, 4]), (5.0, [0, 3]), (1.0, [0])],

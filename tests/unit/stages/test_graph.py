@@ -74,3 +74,20 @@ def test_unknown_options_are_named() -> None:
         PipelineConfig.parse({"finetune": {"stepz": 3}})
     with pytest.raises(UnknownOption, match=r"finetune\.steps"):
         PipelineConfig.parse({"finetune": {"steps": -3}})
+
+
+def test_a_given_stage_has_the_address_of_what_is_given_alone() -> None:
+    def addresses(given: dict[str, str], **options: dict[str, object]) -> dict[str, str]:
+        inputs = InputDigests(DIGESTS.recordings, DIGESTS.assets, given)
+        planned = plan(site_of(), PipelineConfig.parse(options), inputs)
+        assert all(not stage.upstream for stage in planned if stage.name in given)
+        return {stage.name: stage.digest for stage in planned}
+
+    def changed_to(other: dict[str, str]) -> set[str]:
+        return {name for name, digest in other.items() if digest != first[name]}
+
+    first = addresses({"detect": "a", "associate": "b"})
+    assert changed_to(addresses({"detect": "a", "associate": "b"}, detect={"rate_hz": 3.0})) == set()
+    assert changed_to(addresses({"detect": "c", "associate": "b"})) == {"detect", "report"}
+    assert changed_to(addresses({"detect": "a", "associate": "c"})) == set(downstream("associate"))
+    assert changed_to(addresses({})) == set(downstream("detect"))

@@ -31,7 +31,9 @@ def write(content: Content, root: Path) -> list[Path]:
     for subset, times in content.splits.items():
         path = root / "image_sets" / f"{subset}.txt"
         path.parent.mkdir(parents=True, exist_ok=True)
-        path.write_text("".join(f"{numbers[time] * len(cameras)}\n" for time in times), encoding="utf-8")
+        path.write_text(
+            "".join(f"{numbers[time] * len(cameras)}\n" for time in times if time in numbers), encoding="utf-8"
+        )
         paths.append(path)
     for name, objects in hand_labels.documents(content.labels or (), cameras, numbers).items():
         paths.append(_write_json(root / "annotations" / "hand_labels" / name, objects))
