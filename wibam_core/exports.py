@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import tempfile
 import zipfile
-from collections.abc import Callable, Collection, Iterable, Iterator, Mapping
+from collections.abc import Callable, Collection, Generator, Iterable, Mapping
 from dataclasses import dataclass
 from itertools import chain
 from pathlib import Path
 from types import MappingProxyType
-from typing import TypeVar
+from typing import Self, TypeVar
 
 import cv2
 
@@ -19,7 +19,7 @@ from wibam_core.artifacts.artifact import Artifact
 from wibam_core.artifacts.catalogue import ARTIFACTS
 from wibam_core.documents.exports import BoxSource, ExportOffer
 from wibam_core.errors import InputError
-from wibam_core.exchange.base import Content, Part
+from wibam_core.exchange.base import Content, ExchangeFormat, Part
 from wibam_core.exchange.registry import FORMATS, format_of
 from wibam_core.formats.framestore import FrameStore
 from wibam_core.formats.labels import read_labels
@@ -110,67 +110,76 @@ def offers(source: ExportSource) -> list[ExportOffer]:
     return found
 
 
-@dataclass(frozen=True)
 class Export:
-    """One file that is about to be made.
+    """One file that is made while its blocks are taken. A context manager: what was written on the way goes in the end.
 
     Attributes:
         name: of the file.
         size_bytes: None where it is known only when it is whole.
-        blocks: its content. What was written on the way goes away with them.
+        blocks: its content.
     """
 
-    name: str
-    size_bytes: int | None
-    blocks: Iterator[bytes]
+    def __init__(self, fmt: ExchangeFormat, content: Content) -> None:
+        self._scratch = tempfile.TemporaryDirectory(prefix="wibam-export-", ignore_cleanup_errors=True)
+        try:
+            folder = Path(self._scratch.name)
+            paths = iter(fmt.write(content, folder))
+            first, second = next(paths, None), next(paths, None)
+            if first is None:
+                raise InputError(
+                    f"there is nothing to write as {fmt.title}", hint="The job found nothing that it could hold."
+                )
+        except BaseException:
+            self._scratch.cleanup()
+            raise
+        self.name = first.name if second is None else f"{fmt.name}.zip"
+        self.size_bytes = first.stat().st_size if second is None else None
+        self.blocks = _file(first) if second is None else _archive(folder, chain((first, second), paths))
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *details: object) -> None:
+        self.close()
+
+    def close(self) -> None:
+        """Remove what was written, whether or not all blocks were taken."""
+        self.blocks.close()
+        self._scratch.cleanup()
 
 
 def open_export(format_name: str, source: ExportSource, boxes: BoxSource = BoxSource.FITS) -> Export:
-    """Begin to write a format: its one file, or an archive of several, which grows while its blocks are taken.
+    """Begin to write a format: its one file, or a zip archive of several.
 
     Raises:
         NotFound: there is no such format.
         InputError: the format needs what is not there.
     """
     fmt = format_of(format_name)
-    scratch = tempfile.TemporaryDirectory(prefix="wibam-export-", ignore_cleanup_errors=True)
-    folder = Path(scratch.name)
-    try:
-        paths = iter(fmt.write(source.content(fmt.writes, boxes), folder))
-        first, second = next(paths, None), next(paths, None)
-    except BaseException:
-        scratch.cleanup()
-        raise
-    if first is None:
-        scratch.cleanup()
-        raise InputError(f"there is nothing to write as {fmt.title}", hint="The job found nothing that it could hold.")
-    if second is None:
-        return Export(first.name, first.stat().st_size, _file(scratch, first))
-    return Export(f"{fmt.name}.zip", None, _archive(scratch, folder, chain((first, second), paths)))
+    return Export(fmt, source.content(fmt.writes, boxes))
 
 
-def _file(scratch: tempfile.TemporaryDirectory[str], path: Path) -> Iterator[bytes]:
-    with scratch, path.open("rb") as file:
+def _file(path: Path) -> Generator[bytes]:
+    with path.open("rb") as file:
         while block := file.read(_BLOCK_BYTES):
             yield block
 
 
-def _archive(scratch: tempfile.TemporaryDirectory[str], folder: Path, paths: Iterable[Path]) -> Iterator[bytes]:
+def _archive(folder: Path, paths: Iterable[Path]) -> Generator[bytes]:
     """A zip archive, file by file; each is removed once it is in."""
     outlet = Outlet()
-    with scratch:
-        with zipfile.ZipFile(outlet, "w") as archive:
-            for path in paths:
-                # the time of writing is left at zipfile's oldest, so that equal results are equal files
-                info = zipfile.ZipInfo(path.relative_to(folder).as_posix())
-                info.compress_type = zipfile.ZIP_STORED if path.suffix in _COMPRESSED else zipfile.ZIP_DEFLATED
-                with path.open("rb") as file, archive.open(info, "w", force_zip64=True) as member:
-                    while block := file.read(_BLOCK_BYTES):
-                        member.write(block)
-                        if len(outlet) >= _BLOCK_BYTES:
-                            yield outlet.take()
-                path.unlink()
-        yield outlet.take()
+    with zipfile.ZipFile(outlet, "w") as archive:
+        for path in paths:
+            # the time of writing is left at zipfile's oldest, so that equal results are equal files
+            info = zipfile.ZipInfo(path.relative_to(folder).as_posix())
+            info.compress_type = zipfile.ZIP_STORED if path.suffix in _COMPRESSED else zipfile.ZIP_DEFLATED
+            with path.open("rb") as file, archive.open(info, "w", force_zip64=True) as member:
+                while block := file.read(_BLOCK_BYTES):
+                    member.write(block)
+                    if len(outlet) >= _BLOCK_BYTES:
+                        yield outlet.take()
+            path.unlink()
+    yield outlet.take()
 
 
 def _jpeg(frames: FrameStore) -> Callable[[str, int], bytes]:

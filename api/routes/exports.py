@@ -3,17 +3,21 @@
 from __future__ import annotations
 
 import mimetypes
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
+import anyio
 from fastapi import APIRouter, Path, Query
+from starlette.concurrency import run_in_threadpool
 from starlette.responses import StreamingResponse
+from starlette.types import Receive, Scope, Send
 
 from api.parameters import ONLY_KNOWN_PARAMETERS
 from api.problems import documented
 from api.services import Services, ServicesDep
 from wibam_core.documents.exports import BoxSource, ExportOffer
-from wibam_core.exchange.registry import FORMATS
-from wibam_core.exports import ExportSource, offers, open_export
+
+if TYPE_CHECKING:  # formats take long to import, and a service starts often without being asked for one
+    from wibam_core.exports import Export, ExportSource
 
 router = APIRouter(prefix="/v1/jobs/{job_id}/exports", tags=["results"], responses=documented(401, 404))
 _BINARY = "application/octet-stream"
@@ -22,10 +26,41 @@ _FILE: dict[int | str, dict[str, Any]] = {
 }
 
 
+class _ExportResponse(StreamingResponse):
+    """Sends an export block by block, and closes it however the sending ends."""
+
+    def __init__(self, job_id: str, opened: Export) -> None:
+        headers = {
+            "Content-Disposition": f'attachment; filename="{job_id}-{opened.name}"',
+            "X-Content-Type-Options": "nosniff",
+            "Content-Security-Policy": "sandbox",
+            **({} if opened.size_bytes is None else {"Content-Length": str(opened.size_bytes)}),
+        }
+        media_type = mimetypes.guess_type(opened.name)[0] or _BINARY
+        super().__init__(opened.blocks, media_type=media_type, headers=headers)
+        self._opened = opened
+
+    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
+        try:
+            await super().__call__(scope, receive, send)
+        finally:
+            with anyio.CancelScope(shield=True):
+                await run_in_threadpool(self._opened.close)
+
+
 @router.get("", summary="List the formats that a job can be exported in")
 def exports(job_id: str, services: ServicesDep) -> list[ExportOffer]:
     """All formats, with what each loses, and what is still missing for it."""
+    from wibam_core.exports import offers
+
     return offers(_source(services, job_id))
+
+
+def _name_all(schema: dict[str, Any]) -> None:
+    """Name the formats in OpenAPI."""
+    from wibam_core.exchange.registry import FORMATS
+
+    schema["enum"] = list(FORMATS)
 
 
 @router.get(
@@ -37,23 +72,19 @@ def exports(job_id: str, services: ServicesDep) -> list[ExportOffer]:
 )
 def export(
     job_id: str,
-    format: Annotated[str, Path(json_schema_extra=lambda schema: schema.update(enum=list(FORMATS)))],
+    format: Annotated[str, Path(json_schema_extra=_name_all)],
     services: ServicesDep,
     boxes: Annotated[BoxSource, Query(description="which 3D boxes, in formats that hold some")] = BoxSource.FITS,
 ) -> StreamingResponse:
     """One file, or a zip archive where the format has several. `GET /v1/jobs/{job_id}/exports` lists the formats."""
-    opened = open_export(format, _source(services, job_id), boxes)
-    headers = {
-        "Content-Disposition": f'attachment; filename="{job_id}-{opened.name}"',
-        "X-Content-Type-Options": "nosniff",
-        "Content-Security-Policy": "sandbox",
-        **({} if opened.size_bytes is None else {"Content-Length": str(opened.size_bytes)}),
-    }
-    media_type = mimetypes.guess_type(opened.name)[0] or _BINARY
-    return StreamingResponse(opened.blocks, media_type=media_type, headers=headers)
+    from wibam_core.exports import open_export
+
+    return _ExportResponse(job_id, open_export(format, _source(services, job_id), boxes))
 
 
 def _source(services: Services, job_id: str) -> ExportSource:
+    from wibam_core.exports import ExportSource
+
     job = services.jobs.job(job_id)
     labels = job.assets.get("labels")
     return ExportSource(

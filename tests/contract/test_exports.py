@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import io
+import tempfile
 import zipfile
 from collections.abc import Iterator
 from pathlib import Path
@@ -12,7 +13,7 @@ import typer
 from typer.testing import CliRunner
 
 from tests.finished import finished_job, tracks
-from tests.service import TOKEN, LiveApi
+from tests.service import TOKEN, LiveApi, wait_until
 from wibam_core.cli.export import export
 from wibam_core.client import WibamClient
 from wibam_core.documents.exports import BoxSource
@@ -106,6 +107,30 @@ def test_what_is_missing_and_what_there_is_not_are_problems(api: LiveApi, client
     assert api.http.get(f"/v1/jobs/{job}/exports/ssam", params={"boxes": "guesses"}).status_code == 422
     assert api.http.get(f"/v1/jobs/{job}/exports/ssam", params={"box": "fits"}).status_code == 422
     assert api.http.get("/v1/jobs/job_0000000000000000/exports").status_code == 404
+
+
+class Large(Tiny):
+    """More than a socket holds."""
+
+    name = "large"
+
+    def write(self, content: Content, folder: Path) -> list[Path]:
+        path = folder / "large.bin"
+        path.write_bytes(bytes(32 << 20))
+        return [path]
+
+
+def test_nothing_is_left_behind_by_a_reader_who_stays_and_one_who_goes(
+    api: LiveApi, job: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setitem(registry._BY_NAME, "large", Large())
+    monkeypatch.setattr(tempfile, "tempdir", str(tmp_path))
+    with api.http.stream("GET", f"/v1/jobs/{job}/exports/large") as response:
+        next(response.iter_bytes(1024))
+        assert len(list(tmp_path.iterdir())) == 1
+    wait_until(lambda: list(tmp_path.iterdir()) == [])
+    assert len(api.http.get(f"/v1/jobs/{job}/exports/large").content) == 32 << 20
+    wait_until(lambda: list(tmp_path.iterdir()) == [])
 
 
 def test_openapi_names_the_formats(api: LiveApi) -> None:

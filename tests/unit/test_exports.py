@@ -86,26 +86,29 @@ def test_frames_leave_in_the_size_of_the_recording(tmp_path: Path) -> None:
 
 
 def test_one_file_comes_as_it_is(tmp_path: Path, scratch: Path) -> None:
-    opened = open_export("ssam", finished(tmp_path))
-    data = b"".join(opened.blocks)
+    with open_export("ssam", finished(tmp_path)) as opened:
+        data = b"".join(opened.blocks)
     assert opened.name == "tracks.trj" and len(data) == opened.size_bytes
     assert data[:2] == b"\0L"
 
 
 def test_several_files_come_as_an_archive_which_is_equal_every_time(tmp_path: Path, scratch: Path) -> None:
     source = finished(tmp_path)
-    opened = open_export("levelx", source)
-    data = b"".join(opened.blocks)
+    with open_export("levelx", source) as opened:
+        data = b"".join(opened.blocks)
     assert (opened.name, opened.size_bytes) == ("levelx.zip", None)
     with zipfile.ZipFile(io.BytesIO(data)) as archive:
         assert archive.namelist() == ["00_tracks.csv", "00_tracksMeta.csv", "00_recordingMeta.csv"]
         assert archive.testzip() is None
         assert archive.read("00_tracksMeta.csv").count(b"\n") == 4
-    assert b"".join(open_export("levelx", source).blocks) == data
+    with open_export("levelx", source) as again:
+        assert b"".join(again.blocks) == data
 
 
 def test_everything_holds_our_own_files_too(tmp_path: Path, scratch: Path) -> None:
-    with zipfile.ZipFile(io.BytesIO(b"".join(open_export("everything", finished(tmp_path)).blocks))) as archive:
+    with open_export("everything", finished(tmp_path)) as opened:
+        data = b"".join(opened.blocks)
+    with zipfile.ZipFile(io.BytesIO(data)) as archive:
         names = archive.namelist()
         assert archive.read("wibam/report/report.html") == b"<h1>report</h1>"
         assert names[-1] == "README.md"
@@ -114,10 +117,10 @@ def test_everything_holds_our_own_files_too(tmp_path: Path, scratch: Path) -> No
 
 def test_a_file_that_nobody_takes_to_its_end_leaves_nothing(tmp_path: Path, scratch: Path) -> None:
     for name in ("ssam", "levelx"):
-        blocks = open_export(name, finished(tmp_path / name)).blocks
-        next(blocks)
-        blocks.close()  # type: ignore[attr-defined]
-        open_export(name, finished(tmp_path / name))  # never looked at
+        source = finished(tmp_path / name)
+        with open_export(name, source) as opened:
+            next(opened.blocks)
+        open_export(name, source).close()  # not one block was taken
 
 
 def test_offers_say_what_is_missing(tmp_path: Path) -> None:

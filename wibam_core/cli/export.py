@@ -71,9 +71,8 @@ def _source(site_dir: Path, assignments: list[str], outputs: Path | None) -> Exp
 def _write(source: ExportSource, format: str, boxes: BoxSource, out: Path, name: str) -> Path:
     from wibam_core.exports import open_export
 
-    opened = open_export(format, source, boxes)
-    target = out / f"{name}-{opened.name}" if out.is_dir() else out
-    with target.open("wb") as file:
-        for block in opened.blocks:
-            file.write(block)
+    with open_export(format, source, boxes) as opened:
+        target = out / f"{name}-{opened.name}" if out.is_dir() else out
+        with target.open("wb") as file:
+            file.writelines(opened.blocks)
     return target
