@@ -74,9 +74,11 @@ class Kitti:
                 f"{self.title} needs labels or boxes 3d, which are not there",
                 hint="Let the job run up to the stage that makes them.",
             )
-        times = sorted(
-            {instant.vehicles.time_ns for instant in content.labels or ()} | {v.time_ns for v in content.boxes_3d or ()}
-        )
+        labels = {instant.vehicles.time_ns: instant for instant in content.labels or ()}
+        boxes_3d: dict[int, list[Vehicles3D]] = {}
+        for vehicles in content.boxes_3d or ():
+            boxes_3d.setdefault(vehicles.time_ns, []).append(vehicles)
+        times = sorted(labels.keys() | boxes_3d.keys())
         paths: list[Path] = []
         for camera_id, camera in content.rig.items():
             of_camera = folder / camera_id
@@ -84,8 +86,8 @@ class Kitti:
             for n, time_ns in enumerate(times):
                 files[f"calib/{_NAME.format(n)}.txt"] = _calibration_lines(camera)
                 for kind, of_kind in (
-                    (_LABELS, None if content.labels is None else _labels_at(content.labels, time_ns, camera_id)),
-                    (_RESULTS, None if content.boxes_3d is None else _boxes_at(content.boxes_3d, time_ns, camera_id)),
+                    (_LABELS, None if content.labels is None else _labels_of(labels.get(time_ns), camera_id)),
+                    (_RESULTS, None if content.boxes_3d is None else _boxes_of(boxes_3d.get(time_ns, []), camera_id)),
                 ):
                     if of_kind is not None:
                         files[f"{kind}/{_NAME.format(n)}.txt"] = list(_lines(camera, *of_kind, kind == _RESULTS))
@@ -151,23 +153,24 @@ class _Seen:
 
 
 # --- out -----------------------------------------------------------------------------------------------------------
-def _labels_at(labels: Iterable[LabelledInstant], time_ns: int, camera_id: str) -> tuple[Vehicles3D, FloatArray]:
-    """The labels at an instant that a camera sees, and how much of each."""
-    for instant in labels:
-        if instant.vehicles.time_ns == time_ns:
-            n = len(instant.vehicles)
-            visibility = np.asarray(instant.visibility.get(camera_id, np.zeros(n)), dtype=np.float64)
-            return instant.vehicles.where(visibility > 0), visibility[visibility > 0]
-    return Vehicles3D.of(time_ns, np.empty((0, 7))), np.empty(0)
+def _labels_of(instant: LabelledInstant | None, camera_id: str) -> tuple[Vehicles3D, FloatArray]:
+    """The labels of an instant that a camera sees, and how much of each."""
+    if instant is None:
+        return _nothing(), np.empty(0)
+    visibility = np.asarray(instant.visibility.get(camera_id, np.zeros(len(instant.vehicles))), dtype=np.float64)
+    return instant.vehicles.where(visibility > 0), visibility[visibility > 0]
 
 
-def _boxes_at(boxes_3d: Iterable[Vehicles3D], time_ns: int, camera_id: str) -> tuple[Vehicles3D, FloatArray]:
-    """The boxes at an instant, of this camera's images or of none; how much is seen of them is not known."""
-    found = [v for v in boxes_3d if v.time_ns == time_ns and v.camera_id in (None, camera_id)]
-    none = Vehicles3D.of(time_ns, np.empty((0, 7)))
-    parts = [np.concatenate([getattr(v, name) for v in (none, *found)]) for name in ("boxes", "classes", "scores")]
-    joined = Vehicles3D.of(time_ns, parts[0], parts[1], scores=parts[2])
+def _boxes_of(vehicles: Iterable[Vehicles3D], camera_id: str) -> tuple[Vehicles3D, FloatArray]:
+    """Boxes of this camera's images or of none; how much is seen of them is not known."""
+    found = [_nothing(), *(v for v in vehicles if v.camera_id in (None, camera_id))]
+    parts = [np.concatenate([getattr(v, name) for v in found]) for name in ("boxes", "classes", "scores")]
+    joined = Vehicles3D.of(found[-1].time_ns, parts[0], parts[1], scores=parts[2])
     return joined, np.full(len(joined), np.nan)
+
+
+def _nothing() -> Vehicles3D:
+    return Vehicles3D.of(0, np.empty((0, 7)))
 
 
 def _calibration_lines(camera: Camera) -> list[str]:

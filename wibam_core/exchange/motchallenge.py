@@ -17,6 +17,7 @@ import configparser
 from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
+from functools import cache
 from pathlib import Path
 from types import MappingProxyType
 
@@ -231,7 +232,7 @@ def _read_sequence(
         for row in of_file:
             if name == "gt" and row.confidence == 0:
                 continue
-            if _class_of(row) is None:
+            if _class_of(row.number) is None:
                 left_out[f"class {row.number}"] += 1
             else:
                 by_frame[name].setdefault(row.frame, []).append(row)
@@ -240,11 +241,13 @@ def _read_sequence(
         yield time_ns, *_frame(sequence, time_ns, by_frame["gt"].get(frame, []), by_frame["det"].get(frame, []))
 
 
-def _class_of(row: _Row) -> RoadUserClass | None:
+@cache
+def _class_of(number: int) -> RoadUserClass | None:
+    """The class that a number stands for first; None of what is no road user of ours."""
     names = classes_by_name(lambda names: names.coco)
-    if row.number == -1:
+    if number == -1:
         return names.get(_UNSAID)
-    return next((names[name] for name, number in _NUMBERS.items() if number == row.number and name in names), None)
+    return next((names[name] for name, own in _NUMBERS.items() if own == number and name in names), None)
 
 
 def _frame(
@@ -258,7 +261,7 @@ def _frame(
         if same == len(rows):
             rows.append(_Row(row.frame, row.identity, row.bbox, 1.0, row.number))
         identities[row.identity - 1] = same
-    classes = [c.number for row in rows if (c := _class_of(row)) is not None]
+    classes = [c.number for row in rows if (c := _class_of(row.number)) is not None]
     boxes = from_corner_xywh(_bboxes(rows) - _FIRST_PIXEL)
     scores = np.clip([row.confidence for row in rows], 0.0, 1.0)
     return Detections2D(sequence.camera_id, time_ns, boxes, scores, np.array(classes, np.int64)), identities

@@ -34,7 +34,7 @@ def whole() -> Content:
 
 @pytest.fixture
 def folder(tmp_path: Path) -> Path:
-    WibamDataset().write(whole(), tmp_path)
+    list(WibamDataset().write(whole(), tmp_path))
     return tmp_path / "wibam"
 
 
@@ -99,7 +99,7 @@ def test_ids_of_one_instant_follow_each_other_over_the_cameras(folder: Path) -> 
 def test_instants_closer_than_the_data_set_s_period_are_refused(tmp_path: Path) -> None:
     instants = [replace(i, time_ns=i.time_ns // 4) for i in content().instants or ()]
     with pytest.raises(InputError, match="fall into one period"):
-        WibamDataset().write(replace(content(), instants=instants), tmp_path)
+        list(WibamDataset().write(replace(content(), instants=instants), tmp_path))
 
 
 # --- conventions -------------------------------------------------------------------------------
@@ -226,7 +226,7 @@ def test_labels_of_some_cameras_and_of_unknown_frames_are_noted(folder: Path) ->
 
 def test_steps_of_the_frame_numbers_are_noted(tmp_path: Path) -> None:
     every_other = [replace(i, time_ns=2 * i.time_ns) for i in content().instants or ()]
-    WibamDataset().write(replace(content(), instants=every_other, labels=None), tmp_path)
+    list(WibamDataset().write(replace(content(), instants=every_other, labels=None), tmp_path))
     found = read(tmp_path)
     assert [i.time_ns // PERIOD_NS for i in found.instants or ()] == [0, 2, 4, 6, 8]
     assert found.notes == ("frames are numbered in steps of 2, taken as 160 ms apart",)

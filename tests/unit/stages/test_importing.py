@@ -95,7 +95,7 @@ def dataset(tmp_path_factory: pytest.TempPathFactory) -> Path:
         jpeg=jpeg,
         splits={"train": times[:24], "val": times[24:32], "test": times[32:]},
     )
-    WibamDataset().write(content, folder)
+    list(WibamDataset().write(content, folder))
     return folder / "wibam"
 
 

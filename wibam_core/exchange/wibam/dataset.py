@@ -6,7 +6,7 @@ One intersection, four cameras, 12.5 frames a second: Howe, Reid and Mackenzie 2
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable
 from pathlib import Path
 
 from wibam_core.exchange.base import Content, Part, require_parts
@@ -27,7 +27,7 @@ class WibamDataset:
         "apart that nuScenes has under one name."
     )
 
-    def write(self, content: Content, folder: Path) -> Sequence[Path]:
+    def write(self, content: Content, folder: Path) -> Iterable[Path]:
         """Write the folder ``wibam``; its frames where the content has them.
 
         Raises:

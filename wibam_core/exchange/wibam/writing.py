@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping, Sequence
-from itertools import pairwise
+from collections.abc import Iterator, Mapping, Sequence
+from itertools import chain, pairwise
 from pathlib import Path
 from typing import Any
 
@@ -19,8 +19,8 @@ from wibam_core.geometry.camera import Camera
 from wibam_core.road_users import CLASSES
 
 
-def write(content: Content, root: Path) -> list[Path]:
-    """Write all files of a content that has a rig and instants below ``root``, and return them."""
+def write(content: Content, root: Path) -> Iterator[Path]:
+    """Write all files of a content that has a rig and instants below ``root``; frames as one goes through the paths."""
     assert content.rig is not None
     cameras = list(content.rig)
     numbers = _frame_numbers(sorted(instant.time_ns for instant in content.instants or ()))
@@ -37,14 +37,18 @@ def write(content: Content, root: Path) -> list[Path]:
         paths.append(path)
     for name, objects in hand_labels.documents(content.labels or (), cameras, numbers).items():
         paths.append(_write_json(root / "annotations" / "hand_labels" / name, objects))
-    if content.jpeg is not None:
-        for instant in content.instants or ():
-            for camera_id, seen in instant.detections.items():
-                path = root / "frames" / _frame_name(cameras.index(camera_id), numbers[instant.time_ns])
-                path.parent.mkdir(parents=True, exist_ok=True)
-                path.write_bytes(content.jpeg(camera_id, seen.frame_time_ns))
-                paths.append(path)
-    return paths
+    return chain(paths, _frames(content, root / "frames", cameras, numbers))
+
+
+def _frames(content: Content, folder: Path, cameras: Sequence[str], numbers: Mapping[int, int]) -> Iterator[Path]:
+    if content.jpeg is None:
+        return
+    for instant in content.instants or ():
+        for camera_id, seen in instant.detections.items():
+            path = folder / _frame_name(cameras.index(camera_id), numbers[instant.time_ns])
+            path.parent.mkdir(parents=True, exist_ok=True)
+            path.write_bytes(content.jpeg(camera_id, seen.frame_time_ns))
+            yield path
 
 
 def _frame_numbers(times_ns: Sequence[int]) -> dict[int, int]:
