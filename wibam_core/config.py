@@ -31,6 +31,13 @@ class SyncConfig(StageConfig):
         "signals", description="'signals': from traffic lights in view; 'none': the recordings share a clock"
     )
     min_confidence: float = Field(0.3, ge=0, le=1, description="signal changes below this are not used")
+    min_lit_share: float = Field(
+        0.4,
+        ge=0,
+        le=1,
+        description="a region that clearly shows a state in a smaller share of its frames holds no signal head; lamps"
+        " of LEDs that flicker against the shutter may need less",
+    )
     max_offset_s: float = Field(30.0, gt=0, description="largest clock offset to look for")
 
 
@@ -55,6 +62,12 @@ class DetectConfig(StageConfig):
         "auto",
         description="look at every box again beside the still background of its camera, which must not move, for"
         " sharper edges; 'auto': with the bundled detector, whose classes it corrects as well",
+    )
+    background_s: float = Field(
+        120.0,
+        gt=0,
+        description="a camera's background is made anew about this often: less where the light changes quickly, more"
+        " where vehicles stand for longer, since what they always hide stays unknown",
     )
 
 

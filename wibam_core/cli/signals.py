@@ -11,11 +11,14 @@ import typer
 from rich.console import Console
 from rich.table import Table
 
+from wibam_core.config import SyncConfig
 from wibam_core.errors import InputError, NoSignalChange
 from wibam_core.site import SignalRegion
 from wibam_core.sync.changes import detect_changes
 from wibam_core.sync.document import seen_change
 from wibam_core.video.decode import decode
+
+_USUAL = SyncConfig()
 
 
 def signals(
@@ -24,12 +27,18 @@ def signals(
         list[str],
         typer.Option(metavar="X,Y,W,H", help="A signal head in px of the recording; give the option once per head."),
     ],
-    min_confidence: Annotated[float, typer.Option(help="Less certain changes are left out.", min=0, max=1)] = 0.3,
+    min_confidence: Annotated[
+        float, typer.Option(help="Less certain changes are left out.", min=0, max=1)
+    ] = _USUAL.min_confidence,
+    min_lit_share: Annotated[
+        float, typer.Option(help="A region that is clearly lit in fewer of its frames holds no signal.", min=0, max=1)
+    ] = _USUAL.min_lit_share,
     as_json: Annotated[bool, typer.Option("--json", help="Print JSON instead of a table.")] = False,
 ) -> None:
     """Print when traffic lights change in a recording: time s, from, to, confidence."""
     heads = [_parse_region(text, number) for number, text in enumerate(region, start=1)]
-    found = [c for c in detect_changes(decode(video), video.stem, heads) if c.confidence >= min_confidence]
+    seen = detect_changes(decode(video), video.stem, heads, min_lit_share)
+    found = [change for change in seen if change.confidence >= min_confidence]
     console = Console()
     if as_json:
         console.print_json(json.dumps([seen_change(change).model_dump(exclude_none=True) for change in found]))

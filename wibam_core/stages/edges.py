@@ -15,11 +15,11 @@ from wibam_core.detection.background import StillBackground, still_background
 from wibam_core.detection.boxes import Found
 from wibam_core.detection.refine import EdgeRefiner
 from wibam_core.formats.framestore import FrameStore
+from wibam_core.geometry.pixels import scale_of
 from wibam_core.progress import Progress
 from wibam_core.scene import AnnotatedInstant, Detections2D
 
-#: A background is made for so many seconds, in which the light changes little, of so many frames.
-_BLOCK_S = 120.0
+#: A background is made of so many frames.
 _FRAMES = 32
 
 
@@ -31,13 +31,13 @@ def refine_all(
     Args:
         store: the frames of the instants.
         instants: with detections, no vehicles yet; ascending.
-        config: which detector it was, and what counts as found twice.
+        config: which detector it was, how long a background lasts, and what counts as found twice.
         progress: told now and then.
     """
     refiner = EdgeRefiner()
     done = 0
     with ThreadPoolExecutor(max_workers=len(os.sched_getaffinity(0))) as pool:
-        for block in _blocks(instants):
+        for block in _blocks(instants, config.background_s):
             cameras = sorted({camera_id for instant in block for camera_id in instant.detections})
             backgrounds = dict(zip(cameras, pool.map(partial(_background, store, block), cameras), strict=True))
             for instant in pool.map(partial(_refined, store, refiner, backgrounds, config), block):
@@ -47,10 +47,10 @@ def refine_all(
                     progress(done / len(instants), f"edges: {done} of {len(instants)} instants")
 
 
-def _blocks(instants: Sequence[AnnotatedInstant]) -> list[list[AnnotatedInstant]]:
-    """Consecutive instants, all blocks of about equal duration."""
+def _blocks(instants: Sequence[AnnotatedInstant], block_s: float) -> list[list[AnnotatedInstant]]:
+    """Consecutive instants, in blocks of equal duration, of about ``block_s``."""
     duration_s = (instants[-1].time_ns - instants[0].time_ns) * 1e-9
-    count = max(1, round(duration_s / _BLOCK_S))
+    count = max(1, round(duration_s / block_s))
     blocks: list[list[AnnotatedInstant]] = [[] for _ in range(count)]
     for instant in instants:
         share = (instant.time_ns - instants[0].time_ns) * 1e-9 / max(duration_s, 1e-9)
@@ -85,7 +85,7 @@ def _refined(
             classify=config.detector == "bundled",  # other detectors know vehicles from more than simulation
         )
         native, amodal = (store.to_native_px(seen.camera_id, edges) for edges in (found.boxes, found.amodal_boxes))
-        scale = store.to_native_px(seen.camera_id, np.ones(4)) - store.to_native_px(seen.camera_id, np.zeros(4))
+        scale = scale_of(store.size(seen.camera_id), store.native_size(seen.camera_id), 4)
         return replace(
             seen,
             boxes=native,

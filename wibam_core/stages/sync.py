@@ -42,7 +42,7 @@ def run(context: StageContext, config: SyncConfig) -> Summary:
         context.write(CHANGES, Synchronisation(method="none", reference=reference, changes={}, groups=[], cameras={}))
         return {"method": "none"}
 
-    changes = _detect_all(context)
+    changes = _detect_all(context, config)
     confident = {
         camera_id: [c for c in seen if c.confidence >= config.min_confidence] for camera_id, seen in changes.items()
     }
@@ -54,7 +54,7 @@ def run(context: StageContext, config: SyncConfig) -> Summary:
     return {"method": "signals", "matched_changes": len(result.groups), "cameras": cameras}
 
 
-def _detect_all(context: StageContext) -> dict[str, list[SignalChange]]:
+def _detect_all(context: StageContext, config: SyncConfig) -> dict[str, list[SignalChange]]:
     cameras = context.site.cameras
     for camera in cameras:
         if not camera.signals:
@@ -71,7 +71,7 @@ def _detect_all(context: StageContext) -> dict[str, list[SignalChange]]:
 
     def detect(camera: SiteCamera) -> list[SignalChange]:
         frames = progress.watch(camera.id, decode(context.recordings[camera.id]))
-        return detect_changes(frames, camera.id, camera.signals)
+        return detect_changes(frames, camera.id, camera.signals, config.min_lit_share)
 
     with ThreadPoolExecutor(_DECODERS) as pool:
         return dict(zip(context.site.camera_ids, pool.map(detect, cameras), strict=True))

@@ -18,8 +18,6 @@ Array = NDArray[np.float64]
 
 #: A frame shows a state when its evidence for it reaches this.
 _CLEAR = 0.25
-#: A region that shows a state in a smaller share of its frames holds no signal head.
-_MIN_CLEAR_SHARE = 0.4
 #: Evidence this long before and after a change makes its confidence.
 _CONFIDENCE_WINDOW_S = 1.0
 
@@ -57,17 +55,19 @@ class RegionWatcher:
         self._times_ns.append(time_ns)
         self._profiles.append(colour_profile(image[self._window]).astype(np.float32))
 
-    def changes(self, camera_id: str) -> list[SignalChange]:
-        """The changes in all frames added so far, by time."""
+    def changes(self, camera_id: str, min_lit_share: float) -> list[SignalChange]:
+        """The changes in all frames added so far, by time, see `changes_of_profiles`."""
         times_ns = np.array(self._times_ns, dtype=np.int64)
         profiles = np.array(self._profiles, dtype=np.float64).reshape(-1, len(COLOURS), BINS)
-        return changes_of_profiles(camera_id, self.signal.id, times_ns, profiles)
+        return changes_of_profiles(camera_id, self.signal.id, times_ns, profiles, min_lit_share)
 
 
 def changes_of_profiles(
-    camera_id: str, signal_id: str, times_ns: NDArray[np.int64], profiles: Array
+    camera_id: str, signal_id: str, times_ns: NDArray[np.int64], profiles: Array, min_lit_share: float
 ) -> list[SignalChange]:
     """Changes of a signal from its colour profiles (T, 3, BINS) at increasing ``times_ns`` (T,).
+
+    There are none if less than ``min_lit_share`` of the frames clearly shows a state: that is no signal head.
 
     A change is put in the middle between the last frame that clearly shows the old state and the first that clearly
     shows the new one; half the time between them is its ``half_interval_ns``. Confidence is how clear the states are
@@ -79,7 +79,7 @@ def changes_of_profiles(
     if sum(lamps.seen) < 2:
         return []
     evidence = state_evidence(*lamps.unmix(profiles))
-    if (evidence.max(axis=1) > _CLEAR).mean() < _MIN_CLEAR_SHARE:
+    if (evidence.max(axis=1) > _CLEAR).mean() < min_lit_share:
         return []
     path = most_likely_states(times_ns, evidence, switch_costs(lamps.seen))
     frame_ns = float(np.median(np.diff(times_ns)))
@@ -123,7 +123,7 @@ def _clarity(times_ns: NDArray[np.int64], evidence: Array) -> float:
 
 
 def detect_changes(
-    frames: Iterable[tuple[int, Image]], camera_id: str, signals: Sequence[SignalRegion]
+    frames: Iterable[tuple[int, Image]], camera_id: str, signals: Sequence[SignalRegion], min_lit_share: float
 ) -> list[SignalChange]:
     """Changes of several signals of one camera in one pass over its frames, by time.
 
@@ -133,6 +133,7 @@ def detect_changes(
         frames: (time_ns on the camera's own clock, BGR image), in order; one frame is held at a time.
         camera_id: whose frames.
         signals: regions, px of the frames.
+        min_lit_share: of its frames in which a region must clearly show a state.
 
     Raises:
         InputError: if a region lies outside the image.
@@ -145,7 +146,7 @@ def detect_changes(
             watcher.add(time_ns, image)
     best: dict[str, list[SignalChange]] = {}
     for watcher in watchers:
-        found = watcher.changes(camera_id)
+        found = watcher.changes(camera_id, min_lit_share)
         held = best.get(watcher.signal.id, [])
         if sum(c.confidence for c in found) > sum(c.confidence for c in held):
             best[watcher.signal.id] = found

@@ -21,7 +21,8 @@ _CORRELATION_S = 0.2
 _NORMAL_COST = 3.0
 _ODD_COST = 8.0
 _NORMAL = {("green", "amber"), ("amber", "red"), ("red", "green"), ("red", "red_amber"), ("red_amber", "green")}
-#: No signal leaves a state and returns to it within this time; what looks so is an occlusion or a reflection.
+#: No signal leaves a state and returns to it within this time, since amber alone takes 3 s (RiLSA 2015; MUTCD 2009,
+#: 4D.26: 3 to 6 s); what looks so is an occlusion or a reflection, or blinking.
 MIN_EXCURSION_S = 2.5
 
 

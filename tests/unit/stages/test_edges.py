@@ -129,6 +129,5 @@ def test_a_block_of_minutes_has_its_own_background(recorded: Recorded, monkeypat
         return still_background(images, boxes)
 
     monkeypatch.setattr(edges, "still_background", background)
-    monkeypatch.setattr(edges, "_BLOCK_S", 4.0)
-    assert len(list(refine_all(store, instants, DetectConfig(), silent))) == len(instants)
+    assert len(list(refine_all(store, instants, DetectConfig(background_s=4.0), silent))) == len(instants)
     assert len(made) == 3 and sum(made) == len(instants)

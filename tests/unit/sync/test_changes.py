@@ -15,7 +15,7 @@ def region(size=(10, 26), margin=1.0):
 
 def check(starts, duration_s=45.0, size=(10, 26), min_confidence=0.3, margin=1.0, **kwargs):
     """The changes are the true ones, each inside its own interval."""
-    found = detect_changes(record(starts, duration_s, size=size, **kwargs), "cam", [region(size, margin)])
+    found = detect_changes(record(starts, duration_s, size=size, **kwargs), "cam", [region(size, margin)], 0.4)
     expected = truth(starts, duration_s)
     assert [(c.before, c.after) for c in found] == [(before, after) for _, before, after in expected]
     for change, (t, _, _) in zip(found, expected, strict=True):
@@ -119,11 +119,24 @@ def test_a_region_without_signal_gives_nothing():
             image[:, :25] = [(40, 40, 220), (60, 200, 80), (40, 150, 250)][rng.integers(3)]
 
     frames = record([(-1.0, "off")], 30, over=traffic)
-    assert detect_changes(frames, "cam", [SignalRegion(id="s", region=(0, 0, 15, 40))]) == []
+    assert detect_changes(frames, "cam", [SignalRegion(id="s", region=(0, 0, 15, 40))], 0.4) == []
 
 
 def test_a_signal_that_never_changes_gives_nothing():
-    assert detect_changes(record([(-1.0, "red")], 20), "cam", [region()]) == []
+    assert detect_changes(record([(-1.0, "red")], 20), "cam", [region()], 0.4) == []
+
+
+def test_a_head_that_is_dark_in_most_frames_needs_a_lower_share():
+    starts = sequence(CYCLE, 45, 4.2)
+
+    def flickering():
+        """Two frames of three fall between the flashes of the LEDs."""
+        for number, (time_ns, image) in enumerate(record(starts, 45)):
+            yield time_ns, image if number % 3 == 0 else np.full_like(image, 20)
+
+    assert detect_changes(flickering(), "cam", [region()], 0.4) == []
+    found = detect_changes(flickering(), "cam", [region()], 0.2)
+    assert [(c.before, c.after) for c in found] == [(before, after) for _, before, after in truth(starts, 45)]
 
 
 def test_several_regions_in_one_pass_and_the_clearer_of_two_heads_speaks():
@@ -137,7 +150,7 @@ def test_several_regions_in_one_pass_and_the_clearer_of_two_heads_speaks():
             consumed.append(frame[0])
             yield frame
 
-    found = detect_changes(frames(), "cam", [blind, good, other])
+    found = detect_changes(frames(), "cam", [blind, good, other], 0.4)
     expected = truth(starts, 30)
     assert sorted(c.signal_id for c in found) == ["s"] * len(expected) + ["t"] * len(expected)
     assert len(consumed) == len(set(consumed))
@@ -154,7 +167,7 @@ def test_real_junction_has_exactly_its_two_changes(assets: Path):
     from wibam_core.video.decode import decode
 
     signal = SignalRegion(id="s", region=(551, 180, 18, 50))
-    found = detect_changes(decode(assets / "signals" / "junction_640x480_6fps.mp4"), "cam", [signal])
+    found = detect_changes(decode(assets / "signals" / "junction_640x480_6fps.mp4"), "cam", [signal], 0.4)
     assert [(c.before, c.after) for c in found] == [("amber", "red"), ("red", "green")]
     frame_s = 1 / 6.0196
     assert found[0].time_ns / 1e9 == pytest.approx(2.5 * frame_s, abs=0.6 * frame_s)
