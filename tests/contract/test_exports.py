@@ -99,10 +99,10 @@ def test_what_is_missing_and_what_there_is_not_are_problems(api: LiveApi, client
     response = api.http.get(f"/v1/jobs/{job}/exports/coco")
     assert response.status_code == 422
     assert response.headers["content-type"] == "application/problem+json"
-    assert response.json()["detail"] == "COCO object detection needs boxes 2d, which is not there"
+    assert response.json()["detail"] == "COCO object detection cannot be written without 2D boxes"
     with pytest.raises(NotFound, match="no exchange format 'dbf'"):
         client.download_export(job, "dbf", Path())
-    with pytest.raises(InputError, match="needs boxes 3d"):
+    with pytest.raises(InputError, match="without 3D boxes"):
         client.download_export(job, "nuscenes-results", Path(), BoxSource.NETWORK)
     assert api.http.get(f"/v1/jobs/{job}/exports/ssam", params={"boxes": "guesses"}).status_code == 422
     assert api.http.get(f"/v1/jobs/{job}/exports/ssam", params={"box": "fits"}).status_code == 422

@@ -141,7 +141,7 @@ def test_what_cannot_be_written_is_said_before_anything_is_sent(tmp_path: Path, 
     assert given.site is not None
     folders = StageFolders(tmp_path / "stages")
     source = ExportSource(given.site, folders.reader)
-    with pytest.raises(InputError, match="needs tracks"):
+    with pytest.raises(InputError, match="without tracks"):
         open_export("levelx", source)
     with pytest.raises(NotFound, match="'dbf'"):
         open_export("dbf", source)

@@ -32,6 +32,11 @@ class Part(StrEnum):
     ORIGIN = "origin"
     FRAMES = "frames"
 
+    @property
+    def words(self) -> str:
+        """For a person."""
+        return {"boxes_2d": "2D boxes", "boxes_3d": "3D boxes"}.get(self.value, self.value)
+
 
 @dataclass(frozen=True, eq=False)
 class Content:
@@ -176,10 +181,10 @@ def require_parts(fmt: ExchangeFormat, content: Content) -> None:
     Raises:
         InputError: naming the parts.
     """
-    missing = sorted(part.value for part in fmt.needs - content.parts)
+    missing = sorted(fmt.needs - content.parts)
     if missing:
         raise InputError(
-            f"{fmt.title} needs {' and '.join(missing).replace('_', ' ')}, which is not there",
+            f"{fmt.title} cannot be written without {' and '.join(part.words for part in missing)}",
             hint=_ORIGIN_HINT if missing == [Part.ORIGIN] else "Let the job run up to the stage that makes it.",
-            parts=missing,
+            parts=[part.value for part in missing],
         )

@@ -26,6 +26,7 @@ from wibam_core.exchange.names import classes_by_name
 from wibam_core.geometry.se3 import normalise_angle
 from wibam_core.road_users import RoadUserClass
 from wibam_core.scene import FloatArray, IntArray, Track
+from wibam_core.site import Origin
 
 _TABLES = ("tracks", "tracksMeta", "recordingMeta")
 _PREFIX = "00"
@@ -70,7 +71,8 @@ class LevelX:
         paths = [folder / f"{_PREFIX}_{table}.csv" for table in _TABLES]
         csv_files.write_columns(paths[0], _track_columns(tracks, frames))
         csv_files.write_columns(paths[1], _meta_columns(tracks, frames))
-        csv_files.write_columns(paths[2], _recording_columns(tracks, frames, period_ns))
+        origin = content.site.origin if content.site else None
+        csv_files.write_columns(paths[2], _recording_columns(tracks, frames, period_ns, origin))
         return paths
 
     def read(self, path: Path) -> Content:
@@ -140,7 +142,7 @@ def _meta_columns(tracks: Sequence[Track], frames: Sequence[IntArray]) -> dict[s
 
 
 def _recording_columns(
-    tracks: Sequence[Track], frames: Sequence[IntArray], period_ns: int
+    tracks: Sequence[Track], frames: Sequence[IntArray], period_ns: int, origin: Origin | None
 ) -> dict[str, Sequence[object]]:
     rate_hz = 1e9 / period_ns
     vulnerable = sum(track.vehicle_class.traits.elsewhere.levelx.written in _VULNERABLE for track in tracks)
@@ -156,8 +158,8 @@ def _recording_columns(
         "numTracks": [len(tracks)],
         "numVehicles": [len(tracks) - vulnerable],
         "numVRUs": [vulnerable],
-        "latLocation": [""],
-        "lonLocation": [""],
+        "latLocation": ["" if origin is None else origin.latitude_deg],
+        "lonLocation": ["" if origin is None else origin.longitude_deg],
         "xUtmOrigin": [""],
         "yUtmOrigin": [""],
         "orthoPxToMeter": [1.0],

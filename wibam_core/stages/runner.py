@@ -74,6 +74,10 @@ class SiteFolder:
         }
         return cls(site, recordings, assets, given)
 
+    def made(self, planned: PlannedStage, store: StageStore) -> Path | None:
+        """The outputs of a stage, where they are given or the store holds them."""
+        return self.given.get(planned.name) or store.find(planned.name, planned.digest)
+
     def digests(self) -> InputDigests:
         """SHA-256 of every file."""
         return InputDigests(
@@ -136,7 +140,7 @@ def run_pipeline(
     for planned in stages:
         name = planned.name
         report = _progress_of(name, listener)
-        found = folder.given.get(name) or store.find(name, planned.digest)
+        found = folder.made(planned, store)
         state = "given" if name in folder.given else "reused"
         if found is None:
             with store.turn(planned.digest, partial(report, 0.0, "another process runs this stage: waiting for it")):
@@ -155,7 +159,7 @@ def run_pipeline(
 def published(folder: SiteFolder, store: StageStore, config: PipelineConfig) -> ArtifactReader:
     """What `run_pipeline` has made so far, with these options."""
     stages = plan(folder.site, config, folder.digests())
-    folders = {planned.name: store.find(planned.name, planned.digest) for planned in stages}
+    folders = {planned.name: folder.made(planned, store) for planned in stages}
     return ArtifactReader({name: made for name, made in folders.items() if made is not None})
 
 

@@ -69,6 +69,6 @@ def test_options_and_outputs_are_told_as_to_run(tmp_path: Path) -> None:
     told = ("--outputs", str(tmp_path / "elsewhere"), "--set", "finetune.steps=7")
     wibam_export(str(site), "ssam", "--out", str(tmp_path / "my.trj"), *told)
     assert (tmp_path / "my.trj").stat().st_size > 0
-    with pytest.raises(InputError, match="needs tracks"):
+    with pytest.raises(InputError, match="without tracks"):
         wibam_export(str(site), "ssam", "--out", str(tmp_path / "no.trj"), *told[:2])
     assert not (tmp_path / "no.trj").exists()

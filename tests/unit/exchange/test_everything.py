@@ -33,8 +33,8 @@ def test_what_the_content_does_not_allow_is_left_out_with_the_reason(tmp_path: P
     *paths, readme = FORMATS["everything"].write(Content(tracks=content().tracks), tmp_path)
     assert {path.parent.name for path in paths} == {"levelx", "ssam"}
     text = readme.read_text()
-    assert "GeoJSON (WGS 84) needs origin, which is not there. Say in site.json" in text
-    assert "COCO object detection needs boxes 2d" in text
+    assert "GeoJSON (WGS 84) cannot be written without origin. Say in site.json" in text
+    assert "COCO object detection cannot be written without 2D boxes" in text
     assert not (tmp_path / "coco").exists()
 
 

@@ -50,7 +50,7 @@ def test_image_names_say_whose_and_when() -> None:
 
 
 def test_a_format_says_which_part_it_lacks() -> None:
-    with pytest.raises(InputError, match="needs boxes 2d"):
+    with pytest.raises(InputError, match="without 2D boxes"):
         require_parts(Coco(), Content(labels=[]))
     assert Content(labels=[]).parts == {Part.LABELS}
 

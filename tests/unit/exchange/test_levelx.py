@@ -18,6 +18,7 @@ from wibam_core.exchange.base import Content
 from wibam_core.exchange.levelx import LevelX
 from wibam_core.road_users import RoadUserClass
 from wibam_core.scene import Track
+from wibam_core.site import Origin
 
 
 def test_round_trip_keeps_ids_classes_times_places_headings_and_velocities(tmp_path: Path) -> None:
@@ -46,6 +47,18 @@ def test_convention_heading_is_in_degrees_counter_clockwise_from_x(tmp_path: Pat
     (recording,) = csv.DictReader(recording_path.open())
     assert float(recording["frameRate"]) == 12.5  # 80 ms apart
     assert (recording["numTracks"], recording["numVehicles"], recording["numVRUs"]) == ("3", "3", "0")
+
+
+def test_a_recording_says_where_its_site_lies_if_the_site_does(tmp_path: Path) -> None:
+    given_content = content()
+    assert given_content.site is not None
+    site = given_content.site.model_copy(update={"origin": Origin(latitude_deg=50.779, longitude_deg=6.165)})
+    (*_, path) = LevelX().write(replace(given_content, site=site), tmp_path)
+    (recording,) = csv.DictReader(path.open())
+    assert (recording["latLocation"], recording["lonLocation"]) == ("50.779", "6.165")
+    (*_, path) = LevelX().write(given_content, tmp_path)
+    (recording,) = csv.DictReader(path.open())
+    assert (recording["latLocation"], recording["xUtmOrigin"]) == ("", "")
 
 
 def test_highd_counts_y_downwards_and_calls_length_width(tmp_path: Path) -> None:
@@ -156,5 +169,5 @@ def test_levelx_s_reader_from_pypi_reads_tracks_and_frames(tmp_path: Path) -> No
 
 
 def test_content_without_tracks_is_refused(tmp_path: Path) -> None:
-    with pytest.raises(InputError, match="needs tracks"):
+    with pytest.raises(InputError, match="without tracks"):
         LevelX().write(replace(content(), tracks=None), tmp_path)

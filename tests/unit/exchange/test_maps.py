@@ -179,6 +179,6 @@ def test_csv_takes_the_system_that_the_site_names(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("fmt", [GeoJson(), ProjectedCsv()], ids=["geojson", "projected-csv"])
 def test_a_site_that_does_not_say_where_it_lies_is_told_how(fmt: Any, tmp_path: Path) -> None:
-    with pytest.raises(InputError, match="needs origin") as refused:
+    with pytest.raises(InputError, match="without origin") as refused:
         fmt.write(content(), tmp_path)
     assert "site.json" in refused.value.hint

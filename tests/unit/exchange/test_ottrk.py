@@ -73,7 +73,7 @@ def test_boxes_that_are_linked_with_nothing_are_left_out(tmp_path: Path) -> None
 
 
 def test_content_without_boxes_is_refused(tmp_path: Path) -> None:
-    with pytest.raises(InputError, match="needs boxes 2d"):
+    with pytest.raises(InputError, match="without 2D boxes"):
         Ottrk().write(Content(), tmp_path)
 
 

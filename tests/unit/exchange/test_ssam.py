@@ -100,5 +100,5 @@ def test_no_tracks_are_a_header_alone(tmp_path: Path) -> None:
 
 
 def test_content_without_tracks_is_refused(tmp_path: Path) -> None:
-    with pytest.raises(InputError, match="needs tracks"):
+    with pytest.raises(InputError, match="without tracks"):
         Ssam().write(Content(), tmp_path)
