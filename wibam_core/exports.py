@@ -34,8 +34,6 @@ _JPEG_QUALITY = 95
 _BLOCK_BYTES = 1 << 20
 #: Members of an archive that compressing makes no smaller.
 _COMPRESSED = frozenset({".jpg", ".npz", ".onnx", ".ottrk", ".parquet", ".safetensors"})
-
-
 _BOXES: Mapping[BoxSource, Artifact[list[Vehicles3D]]] = MappingProxyType(
     {BoxSource.FITS: catalogue.FITS, BoxSource.NETWORK: catalogue.PREDICTIONS_FINETUNED}
 )
@@ -74,6 +72,7 @@ class ExportSource:
 
         Raises:
             InvalidLabels: the labels are wanted, and wrong.
+            Conflict: another version made what is wanted, and it looked otherwise then.
         """
 
         def read(part: Part, artifact: Artifact[T]) -> T | None:
@@ -154,6 +153,7 @@ def open_export(format_name: str, source: ExportSource, boxes: BoxSource = BoxSo
     Raises:
         NotFound: there is no such format.
         InputError: the format needs what is not there.
+        Conflict: another version made what it needs, and it looked otherwise then.
     """
     fmt = format_of(format_name)
     return Export(fmt, source.content(fmt.writes, boxes))

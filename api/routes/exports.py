@@ -19,7 +19,7 @@ from wibam_core.documents.exports import BoxSource, ExportOffer
 if TYPE_CHECKING:  # formats take long to import, and a service starts often without being asked for one
     from wibam_core.exports import Export, ExportSource
 
-router = APIRouter(prefix="/v1/jobs/{job_id}/exports", tags=["results"], responses=documented(401, 404))
+router = APIRouter(prefix="/v1/jobs/{job_id}/exports", tags=["results"], responses=documented(401, 404, 409))
 _BINARY = "application/octet-stream"
 _FILE: dict[int | str, dict[str, Any]] = {
     200: {"content": {_BINARY: {}, "application/zip": {}}, "description": "A file, or a zip archive of several"}

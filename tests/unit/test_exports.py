@@ -16,7 +16,7 @@ from tests.exchange_content import content
 from tests.stage_folders import StageFolders
 from wibam_core.artifacts import catalogue
 from wibam_core.documents.exports import BoxSource
-from wibam_core.errors import InputError, NotFound
+from wibam_core.errors import Conflict, InputError, NotFound
 from wibam_core.exchange.base import Part
 from wibam_core.exports import ExportSource, offers, open_export
 from wibam_core.formats.framestore import FrameStoreWriter
@@ -148,3 +148,11 @@ def test_what_cannot_be_written_is_said_before_anything_is_sent(tmp_path: Path, 
     folders.give(catalogue.ANNOTATIONS, [])
     with pytest.raises(InputError, match="nothing to write as OpenTrafficCam"):
         open_export("ottrk", source)
+
+
+def test_what_another_version_wrote_otherwise_is_said(tmp_path: Path) -> None:
+    source = finished(tmp_path)
+    split = source.artifacts.local(catalogue.SPLIT)
+    split.write_text('{"train": [1, 2]}')
+    with pytest.raises(Conflict, match=r"dataset/split\.json was made by another version"):
+        open_export("wibam-dataset", source)

@@ -6,8 +6,11 @@ from collections.abc import Collection, Mapping
 from pathlib import Path
 from typing import Any, TypeVar
 
+from pydantic import ValidationError
+
 from wibam_core.artifacts.artifact import Artifact
 from wibam_core.documents.manifest import Manifest
+from wibam_core.errors import Conflict
 
 T = TypeVar("T")
 
@@ -35,8 +38,16 @@ class ArtifactReader:
 
         Raises:
             KeyError: the outputs of its stage are not at hand.
+            Conflict: another version made it, and it looked otherwise then.
         """
-        return artifact.codec.read(self.local(artifact))
+        try:
+            return artifact.codec.read(self.local(artifact))
+        except ValidationError as error:
+            raise Conflict(
+                f"{artifact.id} was made by another version, which wrote it otherwise",
+                hint="Restart the job: what has changed is made anew.",
+                stage=artifact.stage,
+            ) from error
 
     def local(self, artifact: Artifact[Any]) -> Path:
         """A file with the artifact on this machine, for libraries that open files themselves. Nobody changes it."""

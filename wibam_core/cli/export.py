@@ -73,6 +73,8 @@ def _write(source: ExportSource, format: str, boxes: BoxSource, out: Path, name:
 
     with open_export(format, source, boxes) as opened:
         target = out / f"{name}-{opened.name}" if out.is_dir() else out
-        with target.open("wb") as file:
+        partial = target.with_name(target.name + ".part")
+        with partial.open("wb") as file:
             file.writelines(opened.blocks)
+        partial.replace(target)
     return target

@@ -61,9 +61,10 @@ class Ottrk:
         for camera_id, frames in seen.items():
             frames.sort(key=lambda frame: frame[0].frame_time_ns)
             times_ns = np.array([detections.frame_time_ns for detections, _ in frames], np.int64)
-            numbers = 1 + motion.frame_numbers(times_ns, motion.frame_period_ns([times_ns]))
+            period_ns = motion.frame_period_ns([times_ns])
+            numbers = 1 + motion.frame_numbers(times_ns, period_ns)
             document = {
-                "metadata": _metadata(content, camera_id, times_ns, int(numbers[-1])),
+                "metadata": _metadata(camera_id, content.size_px(camera_id), 1e9 / period_ns, int(numbers[-1])),
                 "data": {"detections": _detections(camera_id, frames, numbers.tolist())},
             }
             paths.append(folder / f"{camera_id}.ottrk")
@@ -72,9 +73,8 @@ class Ottrk:
         return paths
 
 
-def _metadata(content: Content, camera_id: str, times_ns: np.ndarray, number_of_frames: int) -> dict[str, Any]:
-    width_px, height_px = content.size_px(camera_id)
-    rate_hz = 1e9 / motion.frame_period_ns([times_ns])
+def _metadata(camera_id: str, size_px: tuple[int, int], rate_hz: float, number_of_frames: int) -> dict[str, Any]:
+    width_px, height_px = size_px
     end_s = number_of_frames / rate_hz
     return {
         "otdet_version": _OTDET_VERSION,

@@ -7,6 +7,7 @@ import pytest
 from tests.builders import site_of
 from wibam_core.config import PipelineConfig
 from wibam_core.errors import UnknownOption
+from wibam_core.site import Origin
 from wibam_core.stages.graph import STAGES, InputDigests, downstream, plan
 
 DIGESTS = InputDigests({"cam1": "a", "cam2": "b", "cam3": "c", "cam4": "d"}, {"labels": "e"})
@@ -60,6 +61,12 @@ def test_renaming_the_site_changes_the_report_alone() -> None:
     before = plan(site_of(), PipelineConfig(), DIGESTS)
     after = plan(site_of(name="elsewhere"), PipelineConfig(), DIGESTS)
     assert {a.name for a, b in zip(after, before, strict=True) if a.digest != b.digest} == {"report"}
+
+
+def test_where_the_site_lies_on_earth_changes_the_report_alone() -> None:
+    located = site_of().model_copy(update={"origin": Origin(latitude_deg=48.0, longitude_deg=11.0)})
+    before, after = (plan(site, PipelineConfig(), DIGESTS) for site in (site_of(), located))
+    assert [a.name for a, b in zip(after, before, strict=True) if a.digest != b.digest] == ["report"]
 
 
 def test_downstream_follows_the_graph() -> None:
