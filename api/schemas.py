@@ -7,7 +7,6 @@ from typing import Literal
 
 from pydantic import BaseModel, ConfigDict, Field, JsonValue
 
-from wibam_core.adapters.job_store import StagePlan
 from wibam_core.adapters.results import ResultFile
 from wibam_core.config import PipelineConfig
 from wibam_core.documents.recordings import VideoInfo
@@ -15,7 +14,7 @@ from wibam_core.jobs.estimate import job_fraction, remaining_s
 from wibam_core.jobs.records import Event, Job, SiteRecord, StageRun, StoredFile
 from wibam_core.jobs.states import JobState, StageState
 from wibam_core.site import Site
-from wibam_core.stages.graph import STAGES
+from wibam_core.stages.graph import STAGES, PlannedStage
 
 
 def _time(seconds: float) -> datetime:
@@ -107,7 +106,7 @@ class PlannedStageOut(BaseModel):
     would: Literal["run", "reuse"] = Field(description="`reuse`: the outputs are there already")
 
     @classmethod
-    def of(cls, planned: StagePlan, *, reuse: bool) -> PlannedStageOut:
+    def of(cls, planned: PlannedStage, *, reuse: bool) -> PlannedStageOut:
         return cls(
             name=planned.name,
             title=STAGES[planned.name].title,

@@ -44,9 +44,9 @@ class StageFolders:
     def read(self, artifact: Artifact[T]) -> T:
         return self.reader.read(artifact)
 
-    def seal(self, stage: str, digest: str = "5e" * 32, seconds: float = 1.5) -> None:
+    def seal(self, stage: str, hash: str = "5e" * 32, seconds: float = 1.5) -> None:
         """Write a manifest, as the store does."""
-        manifest = Manifest(stage=stage, digest=digest, seconds=seconds, summary={}, files={})
+        manifest = Manifest(stage=stage, hash=hash, seconds=seconds, summary={}, files={})
         (self.folder(stage) / MANIFEST).write_text(manifest.model_dump_json())
 
     def context(

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import time
-from collections.abc import AsyncIterator
+from collections.abc import AsyncIterator, Sequence
 from typing import Annotated
 
 from fastapi import APIRouter, Depends, Header, Query, Response
@@ -15,11 +15,10 @@ from api.parameters import ONLY_KNOWN_PARAMETERS
 from api.problems import documented
 from api.schemas import EventOut, JobIn, JobOut, LogOut, PlannedStageOut, RestartIn
 from api.services import Services, ServicesDep
-from wibam_core.adapters.job_store import StagePlan
 from wibam_core.adapters.logs import read_log
 from wibam_core.adapters.planning import plan_stages
 from wibam_core.jobs.records import Job
-from wibam_core.stages.graph import downstream
+from wibam_core.stages.graph import PlannedStage, downstream
 
 router = APIRouter(prefix="/v1", tags=["jobs"], responses=documented(401))
 _LOOK_EVERY_S = 0.4
@@ -164,14 +163,16 @@ def _out(services: Services, job: Job) -> JobOut:
     return JobOut.of(job, services.jobs.typical_seconds(), time.time())
 
 
-def _planned(services: Services, plan: list[StagePlan]) -> list[PlannedStageOut]:
+def _planned(services: Services, plan: Sequence[PlannedStage]) -> list[PlannedStageOut]:
     return [
         PlannedStageOut.of(planned, reuse=services.stages.find(planned.name, planned.hash) is not None)
         for planned in plan
     ]
 
 
-def _restart_plan(services: Services, job_id: str, body: RestartIn) -> tuple[dict[str, object], list[StagePlan]]:
+def _restart_plan(
+    services: Services, job_id: str, body: RestartIn
+) -> tuple[dict[str, object], tuple[PlannedStage, ...]]:
     job = services.jobs.job(job_id)
     options = dict(job.options if body.options is None else body.options)
     if body.from_stage is not None:

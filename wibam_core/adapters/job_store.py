@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
-from dataclasses import dataclass
 from typing import Any
 
 from sqlalchemy import func, select
@@ -25,21 +24,13 @@ from wibam_core.adapters.job_rows import (
 )
 from wibam_core.adapters.models import EventRow, FileRow, JobFileRow, JobRow, SiteRow, StageRow
 from wibam_core.errors import Conflict, NotFound
-from wibam_core.jobs.machine import cancel, check_job_move, descendants
+from wibam_core.jobs.machine import cancel, check_job_move
 from wibam_core.jobs.records import Event, EventKind, Job, SiteRecord, StoredFile
 from wibam_core.jobs.states import JobState, StageState
+from wibam_core.stages.graph import PlannedStage, downstream
 
 _TERMINAL = [state.value for state in JobState if state.is_terminal]
 _TYPICAL_OF = 200  # so many latest runs tell how long a stage usually takes
-
-
-@dataclass(frozen=True)
-class StagePlan:
-    """A stage that a job shall run: ``hash`` is the address of its outputs."""
-
-    name: str
-    hash: str
-    requires: tuple[str, ...]
 
 
 class JobStore:
@@ -59,7 +50,7 @@ class JobStore:
         site: SiteRecord,
         options: Mapping[str, Any],
         files: Sequence[StoredFile],
-        plan: Sequence[StagePlan],
+        plan: Sequence[PlannedStage],
         idempotency_key: str | None = None,
     ) -> tuple[Job, list[StageKey]]:
         """A new job, and the stages to dispatch; with a key that was used before, the job it made, and nothing.
@@ -128,13 +119,14 @@ class JobStore:
             return job_record(session, row)
 
     def restart(
-        self, job_id: str, options: Mapping[str, Any], plan: Sequence[StagePlan], from_stage: str | None = None
+        self, job_id: str, options: Mapping[str, Any], plan: Sequence[PlannedStage], from_stage: str | None = None
     ) -> tuple[Job, list[StageKey]]:
         """Let a job run again: the stages without outputs, those whose address changed, and, where ``from_stage`` is
         given, that stage and all that follow from it. Where there are none, the job succeeds at once.
 
         Raises:
             NotFound: there is no such job.
+            UnknownOption: there is no such stage.
             Conflict: it has not ended yet, or another job works with outputs that were to be made anew.
         """
         now = self._now()
@@ -143,7 +135,7 @@ class JobStore:
             if not JobState(row.state).is_terminal:
                 raise Conflict(f"job {job_id} is {row.state}", hint="Cancel it first, or wait until it has ended.")
             stages = {stage.name: stage for stage in stage_rows(session, job_id)}
-            anew = _made_anew(plan, from_stage)
+            anew = downstream(from_stage, plan) if from_stage is not None else ()
             _check_not_in_use(session, job_id, [planned.hash for planned in plan if planned.name in anew])
             unsettled = _unsettled_hashes(session)
             fresh: list[StageRow] = []
@@ -191,9 +183,9 @@ class JobStore:
             addresses = [(stage.name, stage.hash) for stage in stage_rows(session, job_id)]
             session.delete(row)
             session.flush()
-            for name, digest in addresses:
-                if session.scalar(select(StageRow.name).where(StageRow.hash == digest).limit(1)) is None:
-                    remove_outputs(name, digest)
+            for name, hash in addresses:
+                if session.scalar(select(StageRow.name).where(StageRow.hash == hash).limit(1)) is None:
+                    remove_outputs(name, hash)
 
     def drop_unnamed(self, addresses: Iterable[tuple[str, str]], remove_outputs: Callable[[str, str], None]) -> None:
         """Remove the outputs that no job refers to, left by a restart with other options or a death at a bad moment.
@@ -210,8 +202,8 @@ class JobStore:
         if not unnamed:
             return
         with self._database.writing(exclusive=True) as session:
-            for name, digest in sorted(_unnamed(session, unnamed)):
-                remove_outputs(name, digest)
+            for name, hash in sorted(_unnamed(session, unnamed)):
+                remove_outputs(name, hash)
 
     def events(self, job_id: str, after: int = 0, limit: int = 500) -> tuple[list[Event], bool]:
         """Events with sequence numbers above ``after``, and whether no more will come (unless the job is restarted).
@@ -246,7 +238,7 @@ class JobStore:
             return {name: float(seconds) for name, seconds in rows}
 
 
-def _fresh_stage(job_id: str, position: int, planned: StagePlan) -> StageRow:
+def _fresh_stage(job_id: str, position: int, planned: PlannedStage) -> StageRow:
     return StageRow(
         job_id=job_id,
         name=planned.name,
@@ -262,7 +254,7 @@ def _fresh_stage(job_id: str, position: int, planned: StagePlan) -> StageRow:
     )
 
 
-def _still_good(stage: StageRow, planned: StagePlan) -> bool:
+def _still_good(stage: StageRow, planned: PlannedStage) -> bool:
     return StageState(stage.state).has_outputs and stage.hash == planned.hash
 
 
@@ -271,13 +263,6 @@ def _unsettled_hashes(session: Session) -> set[str]:
     at_work = select(JobRow.id).where(JobRow.state.not_in(_TERMINAL))
     without = [state.value for state in StageState if not state.has_outputs]
     return set(session.scalars(select(StageRow.hash).where(StageRow.job_id.in_(at_work), StageRow.state.in_(without))))
-
-
-def _made_anew(plan: Sequence[StagePlan], from_stage: str | None) -> Collection[str]:
-    if from_stage is None:
-        return ()
-    rows = [_fresh_stage("", position, planned) for position, planned in enumerate(plan)]
-    return descendants(nodes(rows), [from_stage])
 
 
 def _check_not_in_use(session: Session, job_id: str, hashes: Sequence[str]) -> None:
@@ -293,8 +278,8 @@ def _check_not_in_use(session: Session, job_id: str, hashes: Sequence[str]) -> N
 
 def _unnamed(session: Session, addresses: Collection[tuple[str, str]]) -> set[tuple[str, str]]:
     length = len(next(iter(addresses))[1])
-    named = {digest[:length] for digest in session.scalars(select(StageRow.hash).distinct())}
-    return {(name, digest) for name, digest in addresses if digest not in named}
+    named = {hash[:length] for hash in session.scalars(select(StageRow.hash).distinct())}
+    return {(name, hash) for name, hash in addresses if hash not in named}
 
 
 def _check_files_exist(session: Session, files: Sequence[StoredFile]) -> None:

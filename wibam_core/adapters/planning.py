@@ -5,15 +5,14 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from wibam_core.adapters.job_store import StagePlan
 from wibam_core.config import PipelineConfig
 from wibam_core.errors import InputError, MissingCamera
 from wibam_core.jobs.records import Purpose, StoredFile
 from wibam_core.site import Site
-from wibam_core.stages.graph import STAGES, InputDigests, plan
+from wibam_core.stages.graph import InputDigests, PlannedStage, plan
 
 
-def plan_stages(site: Site, options: Mapping[str, Any], files: Sequence[StoredFile]) -> list[StagePlan]:
+def plan_stages(site: Site, options: Mapping[str, Any], files: Sequence[StoredFile]) -> tuple[PlannedStage, ...]:
     """All stages of a job, with the addresses of their outputs.
 
     Raises:
@@ -33,8 +32,7 @@ def plan_stages(site: Site, options: Mapping[str, Any], files: Sequence[StoredFi
             "option detect.detector is 'custom', but the site has no detector",
             hint="Upload an ONNX file for the purpose 'detector', or leave the option out.",
         )
-    planned = plan(site, config, InputDigests({c: recordings[c] for c in site.camera_ids}, assets))
-    return [StagePlan(stage.name, stage.digest, STAGES[stage.name].requires) for stage in planned]
+    return plan(site, config, InputDigests({c: recordings[c] for c in site.camera_ids}, assets))
 
 
 def _names(cameras: Sequence[str]) -> str:

@@ -96,11 +96,11 @@ class JobResults:
         """
         return ArtifactReader({artifact.stage: self.file(job, artifact).path.parent}).read(artifact)
 
-    def _files(self, stage: str, digest: str) -> dict[str, ResultFile]:
+    def _files(self, stage: str, hash: str) -> dict[str, ResultFile]:
         """The files of a published stage by name; those that are no part of an artifact are nobody's business."""
-        folder = self._store.find(stage, digest)
+        folder = self._store.find(stage, hash)
         assert folder is not None
-        facts = self._store.manifest(stage, digest).files
+        facts = self._store.manifest(stage, hash).files
         artifacts = {artifact.file: artifact for artifact in made_by(stage)}
         return {
             name: _result_file(artifact, name, facts[name], folder)

@@ -62,13 +62,13 @@ def run(
     again = downstream(restart_from) if restart_from is not None else ()
     if dry_run:
         for stage in planned:
-            kept = store.find(stage.name, stage.digest) is not None and stage.name not in again
+            kept = store.find(stage.name, stage.hash) is not None and stage.name not in again
             state = "given" if stage.name in folder.given else "kept" if kept else "to run"
             console.print(f"{state:>7}  {STAGES[stage.name].title}", highlight=False)
         return
     for stage in planned:
         if stage.name in again:
-            store.remove(stage.name, stage.digest)
+            store.remove(stage.name, stage.hash)
     with StageDisplay(console) as display:
 
         def show(update: StageUpdate) -> None:

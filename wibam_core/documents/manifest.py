@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from pydantic import JsonValue
+from pydantic import AliasChoices, Field, JsonValue
 
 from wibam_core.documents.base import Document
 
@@ -18,7 +18,8 @@ class Manifest(Document):
     """A published stage: its address, what it said, and its files."""
 
     stage: str
-    digest: str
+    hash: str = Field(validation_alias=AliasChoices("hash", "digest"))
+    """The address of its outputs; called digest in what version 0.1 left."""
     seconds: float
     """How long it took."""
     summary: dict[str, JsonValue]

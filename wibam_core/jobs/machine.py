@@ -6,7 +6,7 @@ stage, so that a job and its stages never disagree.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 from wibam_core.jobs.states import JobState, StageState
@@ -112,15 +112,6 @@ def cancel(job: JobState, stages: Sequence[StageNode]) -> Settlement:
     if job.is_terminal:
         return Settlement(job, {})
     return settle(JobState.CANCELLING, stages)
-
-
-def descendants(stages: Sequence[StageNode], roots: Iterable[str]) -> frozenset[str]:
-    """``roots`` and every stage that requires one of them, directly or not. ``stages`` are in topological order."""
-    found = set(roots)
-    for stage in stages:
-        if found.intersection(stage.requires):
-            found.add(stage.name)
-    return frozenset(found)
 
 
 def _ready(stages: Sequence[StageNode]) -> tuple[str, ...]:

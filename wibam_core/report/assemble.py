@@ -299,7 +299,7 @@ def _found(predictions: _ByFrame, time_ns: int, camera_id: str) -> Array:
 
 def _stages(inputs: ArtifactReader, titles: Mapping[str, str]) -> tuple[StageRow, ...]:
     manifests = {stage: inputs.manifest(stage) for stage in titles if stage in inputs.stages}
-    return tuple(StageRow(titles[stage], manifest.digest, manifest.seconds) for stage, manifest in manifests.items())
+    return tuple(StageRow(titles[stage], manifest.hash, manifest.seconds) for stage, manifest in manifests.items())
 
 
 def _options(metrics: Metrics, conflicts: Conflicts) -> tuple[tuple[str, str], ...]:

@@ -150,7 +150,7 @@ class StageRow:
     """One stage of the job: hash of everything its output depends on, and how long it ran, where that is known."""
 
     title: str
-    digest: str
+    hash: str
     seconds: float | None
 
 

@@ -105,7 +105,7 @@ def build_page(data: ReportData, pictures: Pictures) -> Page:
         subsets=tuple(_subset(row) for row in data.dataset.subsets),
         training_facts=data.training.facts,
         version=data.version,
-        stages=tuple((row.title, row.digest[:16], number(row.seconds, 1)) for row in data.stages),
+        stages=tuple((row.title, row.hash[:16], number(row.seconds, 1)) for row in data.stages),
         options=data.options,
     )
 

@@ -208,7 +208,6 @@ _FIELDS = {
     for node in vars(ast).values()
     if isinstance(node, type) and issubclass(node, ast.AST)
 }
-_DOCUMENTED = {ast.Module, ast.ClassDef, ast.FunctionDef, ast.AsyncFunctionDef}
 
 
 def _parse(source: bytes, package: str) -> tuple[str, set[str], set[str]]:
@@ -225,9 +224,7 @@ def _parse(source: bytes, package: str) -> tuple[str, set[str], set[str]]:
     def visit(value: Any) -> None:
         kind = type(value)
         if kind in _FIELDS:
-            if kind in _DOCUMENTED and ast.get_docstring(value, clean=False) is not None:
-                del value.body[0]
-            elif kind is ast.Constant and isinstance(value.value, str):
+            if kind is ast.Constant and isinstance(value.value, str):
                 strings.add(value.value)
             elif kind in (ast.Import, ast.ImportFrom):
                 imports.update(_imported(value, package))
@@ -238,13 +235,19 @@ def _parse(source: bytes, package: str) -> tuple[str, set[str], set[str]]:
         elif kind is list:
             written.append("[")
             for item in value:
-                visit(item)
+                if not _is_text(item):
+                    visit(item)
             written.append("]")
         else:
             written.append(repr(value))
 
     visit(ast.parse(source))
     return _sha256(" ".join(written).encode()), imports, strings
+
+
+def _is_text(node: Any) -> bool:
+    """Whether a statement is nothing but a string: a docstring, of an attribute perhaps."""
+    return type(node) is ast.Expr and type(node.value) is ast.Constant and isinstance(node.value.value, str)
 
 
 def _imported(node: ast.Import | ast.ImportFrom, package: str) -> Iterator[str]:

@@ -44,7 +44,7 @@ def given_stages(site_dir: Path) -> dict[str, Path]:
     return folders
 
 
-def hash_of(folder: Path) -> str:
+def digest_of(folder: Path) -> str:
     """SHA-256 (hex) of all files of a folder and their names, the manifest aside."""
     files = {
         path.relative_to(folder).as_posix(): path
@@ -72,4 +72,4 @@ def giving(site_dir: Path, stage: str, summary: Summary) -> Iterator[ArtifactWri
     folder = site_dir / FOLDER / stage
     folder.mkdir(parents=True)
     yield ArtifactWriter(stage, folder, STAGES[stage].writes)
-    write_manifest(folder, stage, hash_of(folder), summary, 0.0)
+    write_manifest(folder, stage, digest_of(folder), summary, 0.0)

@@ -2,14 +2,15 @@
 
 A stage's outputs are addressed by a hash of everything they depend on: its code, its options, its part of the
 site description, the files it reads and the hashes of the stages before it. Nothing else can change them, so a
-job restarts from the first stage whose hash is not in the store.
+job restarts from the first stage whose hash is not in the store. ``hash`` means this address wherever it stands; that
+of a file's content is its SHA-256, or digest.
 """
 
 from __future__ import annotations
 
 import hashlib
 import json
-from collections.abc import Callable, Container, Mapping
+from collections.abc import Callable, Container, Mapping, Sequence
 from dataclasses import dataclass, field
 from types import MappingProxyType
 from typing import Any
@@ -174,11 +175,11 @@ class InputDigests:
 
 @dataclass(frozen=True)
 class PlannedStage:
-    """A stage of one job: its output's address and those of its inputs (stage name -> hash)."""
+    """A stage that a job is to have: the address of its outputs, and the stages whose outputs it reads."""
 
     name: str
-    digest: str
-    upstream: Mapping[str, str]
+    hash: str
+    requires: tuple[str, ...]
 
 
 def plan(site: Site, config: PipelineConfig, inputs: InputDigests) -> tuple[PlannedStage, ...]:
@@ -192,14 +193,13 @@ def plan(site: Site, config: PipelineConfig, inputs: InputDigests) -> tuple[Plan
         InputError: the options ask for a network that was not given.
     """
     require_network(config.finetune, inputs.assets)
-    planned: dict[str, PlannedStage] = {}
+    planned: list[PlannedStage] = []
     contents: dict[str, str] = {}
     for spec in STAGES.values():
         if spec.name in inputs.given:
-            contents[spec.name] = _digest_of({"stage": spec.name, "given": inputs.given[spec.name]})
-            planned[spec.name] = PlannedStage(spec.name, contents[spec.name], MappingProxyType({}))
+            contents[spec.name] = _hash_of({"stage": spec.name, "given": inputs.given[spec.name]})
+            planned.append(PlannedStage(spec.name, contents[spec.name], ()))
             continue
-        upstream = {name: planned[name].digest for name in spec.requires}
         facts = {
             "stage": spec.name,
             "code": code_digest(spec.name, layouts=spec.layouts),
@@ -210,13 +210,11 @@ def plan(site: Site, config: PipelineConfig, inputs: InputDigests) -> tuple[Plan
             "assets": {name: inputs.assets[name] for name in spec.assets_read(config) if name in inputs.assets},
             "upstream": {name: contents[name] for name in spec.requires},
         }
-        digest = _digest_of(facts)
-        contents[spec.name] = digest
+        planned.append(PlannedStage(spec.name, _hash_of(facts), spec.requires))
         if spec.asset_checks:
-            unchecked = {"code": code_digest(spec.name, spec.asset_checks, spec.layouts), "assets": {}}
-            contents[spec.name] = _digest_of(facts | unchecked)
-        planned[spec.name] = PlannedStage(spec.name, digest, MappingProxyType(upstream))
-    return tuple(planned.values())
+            facts |= {"code": code_digest(spec.name, spec.asset_checks, spec.layouts), "assets": {}}
+        contents[spec.name] = _hash_of(facts)
+    return tuple(planned)
 
 
 def require_network(config: FinetuneConfig, assets: Container[str]) -> None:
@@ -232,21 +230,26 @@ def require_network(config: FinetuneConfig, assets: Container[str]) -> None:
         )
 
 
-def _digest_of(facts: Mapping[str, Any]) -> str:
+def _hash_of(facts: Mapping[str, Any]) -> str:
     canonical = json.dumps(facts, sort_keys=True, separators=(",", ":"), allow_nan=False)
     return hashlib.sha256(canonical.encode()).hexdigest()
 
 
-def downstream(stage: str) -> tuple[str, ...]:
-    """A stage and all that depend on it, in order.
+def downstream(stage: str, stages: Sequence[StageSpec | PlannedStage] = _SPECS) -> tuple[str, ...]:
+    """A stage and all that depend on it, directly or not, in order.
+
+    Args:
+        stage: its name.
+        stages: all there are, each after those it requires.
 
     Raises:
         UnknownOption: if there is no such stage.
     """
-    if stage not in STAGES:
-        raise UnknownOption(f"there is no stage {stage!r}", hint=f"The stages are {', '.join(STAGES)}.", stage=stage)
+    names = [spec.name for spec in stages]
+    if stage not in names:
+        raise UnknownOption(f"there is no stage {stage!r}", hint=f"The stages are {', '.join(names)}.", stage=stage)
     found = {stage}
-    for spec in STAGES.values():
-        if found & set(spec.requires):
+    for spec in stages:
+        if found.intersection(spec.requires):
             found.add(spec.name)
-    return tuple(name for name in STAGES if name in found)
+    return tuple(name for name in names if name in found)

@@ -17,7 +17,7 @@ from wibam_core.progress import Progress
 from wibam_core.site import Site
 from wibam_core.stages.base import Summary
 from wibam_core.stages.execute import StageRequest, run_stage
-from wibam_core.stages.given import given_stages, hash_of
+from wibam_core.stages.given import digest_of, given_stages
 from wibam_core.stages.graph import STAGES, InputDigests, PlannedStage, plan
 from wibam_core.stages.store import StageStore, sha256_of
 
@@ -76,14 +76,14 @@ class SiteFolder:
 
     def made(self, planned: PlannedStage, store: StageStore) -> Path | None:
         """The outputs of a stage, where they are given or the store holds them."""
-        return self.given.get(planned.name) or store.find(planned.name, planned.digest)
+        return self.given.get(planned.name) or store.find(planned.name, planned.hash)
 
     def digests(self) -> InputDigests:
         """SHA-256 of every file."""
         return InputDigests(
             {camera: sha256_of(path) for camera, path in self.recordings.items()},
             {name: sha256_of(path) for name, path in self.assets.items()},
-            {stage: hash_of(path) for stage, path in self.given.items()},
+            {stage: digest_of(path) for stage, path in self.given.items()},
         )
 
 
@@ -143,8 +143,8 @@ def run_pipeline(
         found = folder.made(planned, store)
         state = "given" if name in folder.given else "reused"
         if found is None:
-            with store.turn(planned.digest, partial(report, 0.0, "another process runs this stage: waiting for it")):
-                found = store.find(name, planned.digest)
+            with store.turn(planned.hash, partial(report, 0.0, "another process runs this stage: waiting for it")):
+                found = store.find(name, planned.hash)
                 if found is None:
                     found = _made(folder, store, config, planned, folders, report, listener)
                     state = "succeeded"
@@ -174,7 +174,7 @@ def _made(
 ) -> Path:
     """The published folder of a stage, run on those of the stages before."""
     name = planned.name
-    attempt = store.begin(name, planned.digest)
+    attempt = store.begin(name, planned.hash)
     request = StageRequest.of(attempt, folder.site, config, folder.recordings, folder.assets, folders)
     report(0.0)
     started = time.monotonic()
@@ -192,7 +192,7 @@ def _check_device(stages: Sequence[PlannedStage], store: StageStore, config: Pip
     names = [stage.name for stage in stages]
     last = len(names) - 1 if until is None else names.index(until)
     training = names.index("finetune")
-    if last >= training and store.find("finetune", stages[training].digest) is None:
+    if last >= training and store.find("finetune", stages[training].hash) is None:
         from wibam_core.training.device import choose_device  # torch takes seconds to import
 
         choose_device(config.finetune.device)

@@ -26,7 +26,7 @@ class Attempt:
     """Where one run of a stage writes: ``output`` is its own; ``scratch`` outlives it until the stage is published."""
 
     stage: str
-    digest: str
+    hash: str
     output: Path
     scratch: Path
 
@@ -39,29 +39,29 @@ class StageStore:
         self._partial = self.root / ".partial"
         self._scratch = self.root / ".scratch"
 
-    def _folder(self, stage: str, digest: str) -> Path:
-        return self.root / f"{stage}-{digest[:32]}"
+    def _folder(self, stage: str, hash: str) -> Path:
+        return self.root / f"{stage}-{hash[:32]}"
 
-    def find(self, stage: str, digest: str) -> Path | None:
+    def find(self, stage: str, hash: str) -> Path | None:
         """The published folder of a stage, or None."""
-        folder = self._folder(stage, digest)
+        folder = self._folder(stage, hash)
         return folder if (folder / MANIFEST).is_file() else None
 
-    def manifest(self, stage: str, digest: str) -> Manifest:
+    def manifest(self, stage: str, hash: str) -> Manifest:
         """What is known about a published stage."""
-        return Manifest.model_validate_json((self._folder(stage, digest) / MANIFEST).read_bytes())
+        return Manifest.model_validate_json((self._folder(stage, hash) / MANIFEST).read_bytes())
 
     @contextlib.contextmanager
-    def turn(self, digest: str, waiting: Callable[[], None]) -> Iterator[None]:
+    def turn(self, hash: str, waiting: Callable[[], None]) -> Iterator[None]:
         """Among processes that make the same stage: one at a time, since they share its scratch folder.
 
         Args:
-            digest: of the stage.
+            hash: of the stage.
             waiting: called where another process is at it; then this waits for as long as that takes.
         """
         self.root.mkdir(parents=True, exist_ok=True)
         with (self.root / ".lock").open("wb") as lock:
-            own_byte = (1, int(digest[:15], 16))  # length and place: locked, it need not be there
+            own_byte = (1, int(hash[:15], 16))  # length and place: locked, it need not be there
             try:
                 fcntl.lockf(lock, fcntl.LOCK_EX | fcntl.LOCK_NB, *own_byte)
             except BlockingIOError:
@@ -69,18 +69,18 @@ class StageStore:
                 fcntl.lockf(lock, fcntl.LOCK_EX, *own_byte)
             yield
 
-    def begin(self, stage: str, digest: str) -> Attempt:
+    def begin(self, stage: str, hash: str) -> Attempt:
         """A fresh output folder, with the scratch folder that an earlier attempt at the same stage may have left."""
         self._partial.mkdir(parents=True, exist_ok=True)
-        scratch = self._scratch / f"{stage}-{digest[:32]}"
+        scratch = self._scratch / f"{stage}-{hash[:32]}"
         scratch.mkdir(parents=True, exist_ok=True)
-        output = Path(tempfile.mkdtemp(prefix=_prefix(stage, digest), dir=self._partial))
+        output = Path(tempfile.mkdtemp(prefix=_prefix(stage, hash), dir=self._partial))
         output.chmod(0o755)
-        return Attempt(stage, digest, output, scratch)
+        return Attempt(stage, hash, output, scratch)
 
     def temporary(self, attempt: Attempt) -> tempfile.TemporaryDirectory[str]:
         """A folder for whatever an attempt needs only while it runs. Where it was killed, `sweep` removes it."""
-        prefix = _prefix(attempt.stage, attempt.digest)
+        prefix = _prefix(attempt.stage, attempt.hash)
         return tempfile.TemporaryDirectory(prefix=prefix, dir=self._partial, ignore_cleanup_errors=True)
 
     def seal(self, attempt: Attempt, summary: Summary, seconds: float) -> None:
@@ -88,18 +88,18 @@ class StageStore:
 
         Once it returns, the output would survive a power cut.
         """
-        write_manifest(attempt.output, attempt.stage, attempt.digest, summary, seconds)
+        write_manifest(attempt.output, attempt.stage, attempt.hash, summary, seconds)
         for path in (*attempt.output.rglob("*"), attempt.output):
             if path.is_file() or path.is_dir():
                 _sync(path)
 
     def reveal(self, attempt: Attempt) -> Path:
         """Make a sealed attempt's output visible at its address, by one rename. Of two that raced, the first stays."""
-        folder = self._folder(attempt.stage, attempt.digest)
+        folder = self._folder(attempt.stage, attempt.hash)
         try:
             attempt.output.rename(folder)
         except OSError:
-            if self.find(attempt.stage, attempt.digest) is None:
+            if self.find(attempt.stage, attempt.hash) is None:
                 self._drop(folder)  # without a manifest it is nobody's output
                 attempt.output.rename(folder)
         _sync(self.root)
@@ -129,15 +129,15 @@ class StageStore:
                 one that begins meanwhile is left alone.
         """
         attempts = list(self._partial.iterdir()) if self._partial.is_dir() else []
-        alive = {digest[:8] for digest in running()} if attempts else set()
+        alive = {hash[:8] for hash in running()} if attempts else set()
         for folder in attempts:
             if folder.name.split("-")[1] not in alive:
                 shutil.rmtree(folder, ignore_errors=True)
 
-    def remove(self, stage: str, digest: str) -> None:
+    def remove(self, stage: str, hash: str) -> None:
         """Forget a stage, so that it runs again, and from its beginning. The first half of the hash will do."""
-        self._drop(self._scratch / f"{stage}-{digest[:32]}")
-        self._drop(self._folder(stage, digest))
+        self._drop(self._scratch / f"{stage}-{hash[:32]}")
+        self._drop(self._folder(stage, hash))
 
     def addresses(self) -> set[tuple[str, str]]:
         """Stage and first half of the hash of everything that is published, or has scratch."""
@@ -153,14 +153,14 @@ class StageStore:
             shutil.rmtree(aside, ignore_errors=True)  # `sweep` tries again
 
 
-def write_manifest(folder: Path, stage: str, digest: str, summary: Summary, seconds: float) -> None:
+def write_manifest(folder: Path, stage: str, hash: str, summary: Summary, seconds: float) -> None:
     """Write the manifest of a folder that holds all of a stage's outputs."""
     files = {
         path.relative_to(folder).as_posix(): FileFacts(bytes=path.stat().st_size, sha256=sha256_of(path))
         for path in sorted(folder.rglob("*"))
         if path.is_file()
     }
-    manifest = Manifest(stage=stage, digest=digest, seconds=round(seconds, 3), summary=summary, files=files)
+    manifest = Manifest(stage=stage, hash=hash, seconds=round(seconds, 3), summary=summary, files=files)
     (folder / MANIFEST).write_text(manifest.model_dump_json(indent=1), encoding="utf-8")
 
 
@@ -170,8 +170,8 @@ def sha256_of(path: Path) -> str:
         return hashlib.file_digest(file, "sha256").hexdigest()
 
 
-def _prefix(stage: str, digest: str) -> str:
-    return f"{stage}-{digest[:8]}-"
+def _prefix(stage: str, hash: str) -> str:
+    return f"{stage}-{hash[:8]}-"
 
 
 def _sync(path: Path) -> None:

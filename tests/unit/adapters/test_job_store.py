@@ -282,7 +282,7 @@ class TestRestart:
         with pytest.raises(Conflict):
             world.jobs.restart(job.id, {}, plan())
         with pytest.raises(Conflict):
-            world.jobs.delete(job.id, lambda name, digest: None)
+            world.jobs.delete(job.id, lambda name, hash: None)
 
     def test_outputs_that_another_job_works_with_are_not_made_anew(self, world: World) -> None:
         job = world.job()
@@ -298,9 +298,9 @@ class TestDelete:
         first, second = world.job(), world.job()
         for job in (first, second):
             world.jobs.cancel(job.id)
-        world.jobs.delete(first.id, lambda name, digest: removed.append(name))
+        world.jobs.delete(first.id, lambda name, hash: removed.append(name))
         assert removed == []
-        world.jobs.delete(second.id, lambda name, digest: removed.append(name))
+        world.jobs.delete(second.id, lambda name, hash: removed.append(name))
         assert removed == ["a", "b", "c", "d"]
         assert world.jobs.jobs() == []
 

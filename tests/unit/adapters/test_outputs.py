@@ -35,7 +35,7 @@ class TestMakingAnew:
         return world.jobs.restart(job.id, {}, plan(), from_stage="b")[0]
 
     def make_way(self, world: World, claim: Claim, removed: list[str]) -> bool:
-        return world.leases.make_way(claim, lambda name, digest: removed.append(name))
+        return world.leases.make_way(claim, lambda name, hash: removed.append(name))
 
     def test_it_happens_once_although_the_stage_is_given_back(self, world: World, removed: list[str]) -> None:
         job = self.restarted(world)
@@ -68,7 +68,7 @@ class TestMakingAnew:
     def test_a_removal_that_fails_is_tried_again(self, world: World, removed: list[str]) -> None:
         claim = world.claim(self.restarted(world), "b")
 
-        def refuse(name: str, digest: str) -> None:
+        def refuse(name: str, hash: str) -> None:
             raise OSError("busy")
 
         with pytest.raises(OSError, match="busy"):
@@ -111,4 +111,4 @@ class TestUnnamedOutputs:
         assert removed == [(planned.name, planned.hash[:32]) for planned in plan()[2:]]
 
     def test_there_may_be_none(self, world: World) -> None:
-        world.jobs.drop_unnamed([], lambda name, digest: None)
+        world.jobs.drop_unnamed([], lambda name, hash: None)

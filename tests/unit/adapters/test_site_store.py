@@ -5,11 +5,12 @@ from dataclasses import replace
 import pytest
 
 from wibam_core.adapters.database import Database
-from wibam_core.adapters.job_store import JobStore, StagePlan
+from wibam_core.adapters.job_store import JobStore
 from wibam_core.adapters.site_store import SiteStore, UploadRequest
 from wibam_core.errors import Conflict, InputError, NotFound, QuotaExceeded
 from wibam_core.jobs.records import Purpose, SiteRecord, StoredFile
 from wibam_core.site import Site
+from wibam_core.stages.graph import PlannedStage
 
 CAMERA = {"width_px": 64, "height_px": 48, "calibration": {"kind": "homography", "correspondences": []}}
 SITE = Site.model_validate({"name": "Jägerstraße", "cameras": [{"id": "north", **CAMERA}, {"id": "south", **CAMERA}]})
@@ -50,14 +51,14 @@ def test_a_newer_recording_takes_the_place_of_the_older(store: SiteStore, site: 
 def test_files_that_a_job_needs_are_not_purged(store: SiteStore, site: SiteRecord, database: Database) -> None:
     file = send(store, recording(site))
     jobs = JobStore(database)
-    job, _ = jobs.create(site, {}, [file], [StagePlan("a", "h", ())])
+    job, _ = jobs.create(site, {}, [file], [PlannedStage("a", "h", ())])
     store.retire_file(site.id, file.id)
     assert store.files(site.id) == []
     assert store.purge_files() == []
     with pytest.raises(Conflict, match="1 job"):
         store.delete_site(site.id)
     jobs.cancel(job.id)
-    jobs.delete(job.id, lambda name, digest: None)
+    jobs.delete(job.id, lambda name, hash: None)
     assert store.purge_files() == [file.id]
 
 

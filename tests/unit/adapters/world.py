@@ -6,12 +6,13 @@ from dataclasses import dataclass, field
 
 from wibam_core.adapters.database import Database
 from wibam_core.adapters.job_rows import StageKey
-from wibam_core.adapters.job_store import JobStore, StagePlan
+from wibam_core.adapters.job_store import JobStore
 from wibam_core.adapters.lease_store import LeaseStore
 from wibam_core.adapters.site_store import SiteStore, UploadRequest
 from wibam_core.jobs.leases import Claim, LeasePolicy
 from wibam_core.jobs.records import Job, Purpose, SiteRecord, StoredFile
 from wibam_core.site import Site
+from wibam_core.stages.graph import PlannedStage
 
 CAMERA = {"id": "north", "width_px": 64, "height_px": 48}
 SITE = Site.model_validate(
@@ -20,9 +21,9 @@ SITE = Site.model_validate(
 POLICY = LeasePolicy(duration_s=30.0, heartbeat_s=5.0, max_attempts=2, resend_s=60.0)
 
 
-def plan(tag: str = "") -> list[StagePlan]:
+def plan(tag: str = "") -> list[PlannedStage]:
     shape = {"a": (), "b": ("a",), "c": ("a",), "d": ("b", "c")}
-    return [StagePlan(name, f"{name}{tag}".ljust(64, "0"), requires) for name, requires in shape.items()]
+    return [PlannedStage(name, f"{name}{tag}".ljust(64, "0"), requires) for name, requires in shape.items()]
 
 
 @dataclass

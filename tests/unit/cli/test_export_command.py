@@ -37,7 +37,7 @@ def site_folder(folder: Path, outputs: Path, *options: str) -> Path:
     store = StageStore(outputs)
     planned = plan(loaded.site, PipelineConfig.parse(parse_options(list(options))), loaded.digests())
     (stage,) = (stage for stage in planned if stage.name == "track")
-    attempt = store.begin(stage.name, stage.digest)
+    attempt = store.begin(stage.name, stage.hash)
     ArtifactWriter("track", attempt.output, made_by("track")).write(catalogue.TRACKS, list(content().tracks or ()))
     store.publish(attempt, {}, 0.1)
     return folder

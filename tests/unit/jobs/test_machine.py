@@ -16,7 +16,6 @@ from wibam_core.jobs.machine import (
     cancel,
     check_job_move,
     check_stage_move,
-    descendants,
     settle,
 )
 from wibam_core.jobs.states import JobState, StageState
@@ -164,9 +163,3 @@ def test_any_order_of_events_ends_legally_and_never_with_a_running_stage(data: s
     if job is JobState.FAILED:
         assert StageState.FAILED in states.values()
     assert StageState.QUEUED not in states.values()
-
-
-def test_descendants_are_transitive() -> None:
-    assert descendants(nodes(fresh()), ["b"]) == {"b", "d", "e"}
-    assert descendants(nodes(fresh()), ["a"]) == {"a", "b", "c", "d", "e"}
-    assert descendants(nodes(fresh()), []) == frozenset()

@@ -163,8 +163,8 @@ def test_meaning_changes_the_digest_and_nothing_else_does(
 
 @given(st.text(st.characters(exclude_categories=["Cs", "Cc"]), max_size=40))
 def test_no_comment_and_no_docstring_changes_a_digest(tmp_path_factory: pytest.TempPathFactory, words: str) -> None:
-    documented = f"# {words}\ndef area(side):\n    {words!r}\n    return side * side  # {words}\n"
-    plain = tree_of(tmp_path_factory.mktemp("a"), base_py="def area(side): return side * side")
+    documented = f"# {words}\ndef area(side):\n    {words!r}\n    return side * side  # {words}\nWIDTH = 3\n{words!r}\n"
+    plain = tree_of(tmp_path_factory.mktemp("a"), base_py="def area(side): return side * side\nWIDTH = 3")
     other = tree_of(tmp_path_factory.mktemp("b"), base_py=documented)
     assert plain.closure(["site_code.base"]).digest({}) == other.closure(["site_code.base"]).digest({})
 

@@ -118,7 +118,7 @@ def test_a_job_is_planned_with_it_alone_where_it_is_there(weights: Path) -> None
     with pytest.raises(InputError, match="the site has no network"):
         plan(site_of(), config, InputDigests(recordings, {}))
     first, second = (plan(site_of(), config, InputDigests(recordings, {"network": digest})) for digest in "bc")
-    changed = {a.name for a, b in zip(first, second, strict=True) if a.digest != b.digest}
+    changed = {a.name for a, b in zip(first, second, strict=True) if a.hash != b.hash}
     assert changed == {"preflight", "finetune", "evaluate", "track", "safety", "report"}
 
 

@@ -8,7 +8,7 @@ from tests.builders import site_of
 from wibam_core.config import PipelineConfig
 from wibam_core.errors import UnknownOption
 from wibam_core.site import Origin
-from wibam_core.stages.graph import STAGES, InputDigests, downstream, plan
+from wibam_core.stages.graph import STAGES, InputDigests, PlannedStage, downstream, plan
 
 DIGESTS = InputDigests({"cam1": "a", "cam2": "b", "cam3": "c", "cam4": "d"}, {"labels": "e"})
 
@@ -17,7 +17,7 @@ def changed(**options: dict[str, object]) -> set[str]:
     """Stages whose outputs get another address through options."""
     before = plan(site_of(), PipelineConfig(), DIGESTS)
     after = plan(site_of(), PipelineConfig.parse(options), DIGESTS)
-    return {a.name for a, b in zip(after, before, strict=True) if a.digest != b.digest}
+    return {a.name for a, b in zip(after, before, strict=True) if a.hash != b.hash}
 
 
 def test_every_stage_comes_after_those_it_requires_and_has_options() -> None:
@@ -42,31 +42,29 @@ def test_labels_only_change_what_checks_them_and_what_evaluates() -> None:
     """New labels must be checked before anything long begins, and must not train anything again."""
     without = InputDigests(DIGESTS.recordings, {})
     before, after = (plan(site_of(), PipelineConfig(), d) for d in (DIGESTS, without))
-    assert {a.name for a, b in zip(after, before, strict=True) if a.digest != b.digest} == {
+    assert {a.name for a, b in zip(after, before, strict=True) if a.hash != b.hash} == {
         "preflight",
         "evaluate",
         "report",
     }
-    addresses = {stage.name: stage.digest for stage in after}
-    assert all(stage.upstream == {n: addresses[n] for n in STAGES[stage.name].requires} for stage in after)
 
 
 def test_a_new_recording_changes_everything_that_looks_at_videos() -> None:
     other = InputDigests({**DIGESTS.recordings, "cam2": "x"}, DIGESTS.assets)
     before, after = (plan(site_of(), PipelineConfig(), d) for d in (DIGESTS, other))
-    assert [a.name for a, b in zip(after, before, strict=True) if a.digest == b.digest] == ["calibrate"]
+    assert [a.name for a, b in zip(after, before, strict=True) if a.hash == b.hash] == ["calibrate"]
 
 
 def test_renaming_the_site_changes_the_report_alone() -> None:
     before = plan(site_of(), PipelineConfig(), DIGESTS)
     after = plan(site_of(name="elsewhere"), PipelineConfig(), DIGESTS)
-    assert {a.name for a, b in zip(after, before, strict=True) if a.digest != b.digest} == {"report"}
+    assert {a.name for a, b in zip(after, before, strict=True) if a.hash != b.hash} == {"report"}
 
 
 def test_where_the_site_lies_on_earth_changes_the_report_alone() -> None:
     located = site_of().model_copy(update={"origin": Origin(latitude_deg=48.0, longitude_deg=11.0)})
     before, after = (plan(site, PipelineConfig(), DIGESTS) for site in (site_of(), located))
-    assert [a.name for a, b in zip(after, before, strict=True) if a.digest != b.digest] == ["report"]
+    assert [a.name for a, b in zip(after, before, strict=True) if a.hash != b.hash] == ["report"]
 
 
 def test_downstream_follows_the_graph() -> None:
@@ -74,6 +72,14 @@ def test_downstream_follows_the_graph() -> None:
     assert downstream("preflight") == tuple(name for name in STAGES if name != "calibrate")
     with pytest.raises(UnknownOption, match="no stage 'paint'"):
         downstream("paint")
+
+
+def test_downstream_of_a_plan_follows_every_branch() -> None:
+    shape = {"a": (), "b": ("a",), "c": ("a",), "d": ("b", "c"), "e": ("d",), "f": ()}
+    stages = [PlannedStage(name, "h", requires) for name, requires in shape.items()]
+    assert downstream("a", stages) == ("a", "b", "c", "d", "e")
+    assert downstream("c", stages) == ("c", "d", "e")
+    assert downstream("f", stages) == ("f",)
 
 
 def test_unknown_options_are_named() -> None:
@@ -87,11 +93,11 @@ def test_a_given_stage_has_the_address_of_what_is_given_alone() -> None:
     def addresses(given: dict[str, str], **options: dict[str, object]) -> dict[str, str]:
         inputs = InputDigests(DIGESTS.recordings, DIGESTS.assets, given)
         planned = plan(site_of(), PipelineConfig.parse(options), inputs)
-        assert all(not stage.upstream for stage in planned if stage.name in given)
-        return {stage.name: stage.digest for stage in planned}
+        assert all(not stage.requires for stage in planned if stage.name in given)
+        return {stage.name: stage.hash for stage in planned}
 
     def changed_to(other: dict[str, str]) -> set[str]:
-        return {name for name, digest in other.items() if digest != first[name]}
+        return {name for name, hash in other.items() if hash != first[name]}
 
     first = addresses({"detect": "a", "associate": "b"})
     assert changed_to(addresses({"detect": "a", "associate": "b"}, detect={"rate_hz": 3.0})) == set()

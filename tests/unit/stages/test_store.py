@@ -18,27 +18,27 @@ from wibam_core.config import PipelineConfig
 from wibam_core.stages import runner
 from wibam_core.stages.store import StageStore
 
-DIGEST = "0123456789abcdef" * 4
+HASH = "0123456789abcdef" * 4
 
 
 def test_nothing_is_found_before_it_is_published(tmp_path: Path) -> None:
     store = StageStore(tmp_path)
-    attempt = store.begin("sync", DIGEST)
+    attempt = store.begin("sync", HASH)
     (attempt.output / "clocks.json").write_text("{}")
-    assert store.find("sync", DIGEST) is None
+    assert store.find("sync", HASH) is None
 
     folder = store.publish(attempt, {"cameras": 4}, 1.25)
 
-    assert store.find("sync", DIGEST) == folder
+    assert store.find("sync", HASH) == folder
     assert (folder / "clocks.json").read_text() == "{}"
-    manifest = store.manifest("sync", DIGEST)
+    manifest = store.manifest("sync", HASH)
     assert manifest.summary == {"cameras": 4}
     assert manifest.files["clocks.json"].bytes == 2
 
 
 def test_of_two_that_raced_the_first_stays(tmp_path: Path) -> None:
     store = StageStore(tmp_path)
-    first, second = store.begin("sync", DIGEST), store.begin("sync", DIGEST)
+    first, second = store.begin("sync", HASH), store.begin("sync", HASH)
     for attempt, text in ((first, "first"), (second, "second")):
         (attempt.output / "f").write_text(text)
         folder = store.publish(attempt, {}, 0.0)
@@ -48,10 +48,10 @@ def test_of_two_that_raced_the_first_stays(tmp_path: Path) -> None:
 
 def test_scratch_outlives_an_attempt_but_not_the_stage(tmp_path: Path) -> None:
     store = StageStore(tmp_path)
-    attempt = store.begin("finetune", DIGEST)
+    attempt = store.begin("finetune", HASH)
     (attempt.scratch / "checkpoint").write_text("1")
     store.discard(attempt)
-    again = store.begin("finetune", DIGEST)
+    again = store.begin("finetune", HASH)
     assert (again.scratch / "checkpoint").read_text() == "1"
     store.publish(again, {}, 0.0)
     assert not again.scratch.exists()
@@ -59,11 +59,11 @@ def test_scratch_outlives_an_attempt_but_not_the_stage(tmp_path: Path) -> None:
 
 def test_a_removed_stage_runs_again(tmp_path: Path) -> None:
     store = StageStore(tmp_path)
-    store.publish(store.begin("sync", DIGEST), {}, 0.0)
-    store.remove("sync", DIGEST)
-    assert store.find("sync", DIGEST) is None
-    store.publish(store.begin("sync", DIGEST), {"n": 2}, 0.0)
-    assert json.loads((store.find("sync", DIGEST) / "manifest.json").read_text())["summary"] == {"n": 2}  # type: ignore[operator]
+    store.publish(store.begin("sync", HASH), {}, 0.0)
+    store.remove("sync", HASH)
+    assert store.find("sync", HASH) is None
+    store.publish(store.begin("sync", HASH), {"n": 2}, 0.0)
+    assert json.loads((store.find("sync", HASH) / "manifest.json").read_text())["summary"] == {"n": 2}  # type: ignore[operator]
 
 
 class Killed(BaseException):
@@ -76,33 +76,42 @@ def test_a_stage_whose_removal_was_killed_runs_again(tmp_path: Path, monkeypatch
             raise Killed
 
     store = StageStore(tmp_path)
-    attempt = store.begin("sync", DIGEST)
+    attempt = store.begin("sync", HASH)
     (attempt.output / "clocks.json").write_text("{}")
     store.publish(attempt, {}, 0.0)
     with monkeypatch.context() as patched:
         patched.setattr(shutil, "rmtree", kill)
         with pytest.raises(Killed):
-            store.remove("sync", DIGEST)
-    assert store.find("sync", DIGEST) is None
-    store.publish(store.begin("sync", DIGEST), {"n": 2}, 0.0)
-    assert store.manifest("sync", DIGEST).summary == {"n": 2}
+            store.remove("sync", HASH)
+    assert store.find("sync", HASH) is None
+    store.publish(store.begin("sync", HASH), {"n": 2}, 0.0)
+    assert store.manifest("sync", HASH).summary == {"n": 2}
     store.sweep(set)
     assert list((tmp_path / ".partial").iterdir()) == []
 
 
+def test_what_version_0_1_published_is_read(tmp_path: Path) -> None:
+    store = StageStore(tmp_path)
+    folder = tmp_path / f"sync-{HASH[:32]}"
+    folder.mkdir()
+    manifest = {"stage": "sync", "digest": HASH, "seconds": 1.5, "summary": {}, "files": {}}
+    (folder / "manifest.json").write_text(json.dumps(manifest), encoding="utf-8")
+    assert store.manifest("sync", HASH).hash == HASH
+
+
 def test_a_folder_without_a_manifest_is_in_nobodys_way(tmp_path: Path) -> None:
     store = StageStore(tmp_path)
-    folder = store.publish(store.begin("sync", DIGEST), {}, 0.0)
+    folder = store.publish(store.begin("sync", HASH), {}, 0.0)
     (folder / "manifest.json").unlink()
     (folder / "rest").touch()
-    assert store.publish(store.begin("sync", DIGEST), {"n": 2}, 0.0) == folder
-    assert store.manifest("sync", DIGEST).summary == {"n": 2}
+    assert store.publish(store.begin("sync", HASH), {"n": 2}, 0.0) == folder
+    assert store.manifest("sync", HASH).summary == {"n": 2}
     assert not (folder / "rest").exists()
 
 
 def test_everything_is_on_disk_before_it_is_published(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     store = StageStore(tmp_path)
-    attempt = store.begin("frames", DIGEST)
+    attempt = store.begin("frames", HASH)
     (attempt.output / "more").mkdir()
     (attempt.output / "more" / "cam1.jpegs").write_bytes(b"x" * 100)
     synced: set[int] = set()
@@ -122,9 +131,9 @@ def test_everything_is_on_disk_before_it_is_published(tmp_path: Path, monkeypatc
 
 def test_what_a_killed_attempt_used_is_swept_away(tmp_path: Path) -> None:
     store = StageStore(tmp_path)
-    killed = store.begin("sync", DIGEST)
+    killed = store.begin("sync", HASH)
     with store.temporary(killed) as folder:
-        store.sweep(lambda: {DIGEST})
+        store.sweep(lambda: {HASH})
         assert Path(folder).is_dir()
         store.sweep(set)
         assert not Path(folder).exists()
@@ -133,10 +142,10 @@ def test_what_a_killed_attempt_used_is_swept_away(tmp_path: Path) -> None:
 def test_addresses_are_those_of_outputs_and_scratch(tmp_path: Path) -> None:
     store = StageStore(tmp_path)
     assert store.addresses() == set()
-    store.publish(store.begin("sync", DIGEST), {}, 0.0)
-    store.begin("finetune", DIGEST)
+    store.publish(store.begin("sync", HASH), {}, 0.0)
+    store.begin("finetune", HASH)
     (tmp_path / "my-notes").mkdir()
-    assert store.addresses() == {("sync", DIGEST[:32]), ("finetune", DIGEST[:32])}
+    assert store.addresses() == {("sync", HASH[:32]), ("finetune", HASH[:32])}
     for address in store.addresses():
         store.remove(*address)
     assert store.addresses() == set()
@@ -159,7 +168,7 @@ with StageStore(Path(sys.argv[1])).turn(sys.argv[2], lambda: None):
 def test_processes_that_make_the_same_stage_take_turns(tmp_path: Path) -> None:
     """They share its scratch folder: a second would train on images that the first had not written yet."""
     other = "b" * 64
-    command = [sys.executable, "-c", _HOLDS_ITS_TURN, str(tmp_path), DIGEST]
+    command = [sys.executable, "-c", _HOLDS_ITS_TURN, str(tmp_path), HASH]
     with subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True) as process:
         assert process.stdin is not None and process.stdout is not None
         assert process.stdout.readline() == "in\n"
@@ -171,9 +180,9 @@ def test_processes_that_make_the_same_stage_take_turns(tmp_path: Path) -> None:
             waited.append(process.poll())
             process.stdin.close()  # the other's turn ends only now
 
-        with StageStore(tmp_path).turn(DIGEST, waiting):
+        with StageStore(tmp_path).turn(HASH, waiting):
             assert waited == [None] and (tmp_path / "left").exists()
-    with StageStore(tmp_path).turn(DIGEST, lambda: pytest.fail("nobody is there any more")):
+    with StageStore(tmp_path).turn(HASH, lambda: pytest.fail("nobody is there any more")):
         pass
 
 
@@ -181,9 +190,9 @@ class SlowStore(StageStore):
     """Somebody else makes the stage while one waits for one's turn."""
 
     @contextmanager
-    def turn(self, digest: str, waiting: Callable[[], None]) -> Iterator[None]:
+    def turn(self, hash: str, waiting: Callable[[], None]) -> Iterator[None]:
         waiting()
-        attempt = self.begin("preflight", digest)
+        attempt = self.begin("preflight", hash)
         self.publish(attempt, {"made": "elsewhere"}, 1.0)
         yield
 

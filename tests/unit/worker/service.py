@@ -14,13 +14,14 @@ from tests.builders import site_of
 from wibam_core.adapters.database import Database, sqlite_url
 from wibam_core.adapters.files import DataFolder
 from wibam_core.adapters.job_rows import StageKey
-from wibam_core.adapters.job_store import JobStore, StagePlan
+from wibam_core.adapters.job_store import JobStore
 from wibam_core.adapters.lease_store import LeaseStore
 from wibam_core.adapters.planning import plan_stages
 from wibam_core.adapters.settings import StageLimits
 from wibam_core.adapters.site_store import SiteStore, UploadRequest
 from wibam_core.jobs.leases import LeasePolicy
 from wibam_core.jobs.records import Job, Purpose
+from wibam_core.stages.graph import PlannedStage
 from wibam_core.stages.store import StageStore, sha256_of
 from worker.process import StageProcess
 from worker.runner import StageRunner
@@ -58,7 +59,7 @@ class Service:
             suffix = self.folder.finish(upload.id)
             files.append(self.sites.complete_upload(upload, suffix=suffix, sha256=sha256_of(recording)))
         options = {"preflight": {"min_overlap_s": 1.0}}
-        plan: list[StagePlan] = plan_stages(site.site, options, files)[:stages]
+        plan: list[PlannedStage] = plan_stages(site.site, options, files)[:stages]
         return self.jobs.create(site, options, files, plan)[0]
 
     def runner(self, limits: StageLimits = LIMITS, **values: object) -> StageRunner:

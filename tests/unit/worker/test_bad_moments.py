@@ -11,9 +11,9 @@ import sqlalchemy
 from sqlalchemy.exc import DBAPIError
 
 from tests.unit.worker.service import PREFLIGHT, Service, key, run_instead
-from wibam_core.adapters.job_store import StagePlan
 from wibam_core.jobs.records import Job
 from wibam_core.jobs.states import JobState, StageState
+from wibam_core.stages.graph import PlannedStage
 from worker.failures import is_full
 
 
@@ -44,7 +44,7 @@ def full(tmp_path: Path) -> DBAPIError:
 
 def restart(service: Service, job: Job) -> None:
     """From the beginning, as a plan of one stage."""
-    plan = [StagePlan(PREFLIGHT, job.stages[0].hash, ())]
+    plan = [PlannedStage(PREFLIGHT, job.stages[0].hash, ())]
     service.jobs.restart(job.id, job.options, plan, from_stage=PREFLIGHT)
 
 
@@ -136,7 +136,7 @@ class TestLeftovers:
         service.runner().run(key(job))
         old, new = job.stages[0].hash, "f" * 64
         assert service.store.find(PREFLIGHT, old) is not None
-        service.jobs.restart(job.id, {}, [StagePlan(PREFLIGHT, new, ())])
+        service.jobs.restart(job.id, {}, [PlannedStage(PREFLIGHT, new, ())])
         service.runner().run(key(job))
         assert service.store.find(PREFLIGHT, old) is None
         assert json.loads((service.folder.stages / f"{PREFLIGHT}-{new[:32]}" / "manifest.json").read_text())

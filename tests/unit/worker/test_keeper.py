@@ -14,11 +14,12 @@ from sqlalchemy import select
 from tests.builders import corner_rig, site_of
 from wibam_core.adapters.database import Database, sqlite_url
 from wibam_core.adapters.job_rows import StageKey
-from wibam_core.adapters.job_store import JobStore, StagePlan
+from wibam_core.adapters.job_store import JobStore
 from wibam_core.adapters.lease_store import LeaseStore
 from wibam_core.adapters.models import StageRow
 from wibam_core.adapters.site_store import SiteStore
 from wibam_core.jobs.leases import Claim, LeasePolicy
+from wibam_core.stages.graph import PlannedStage
 from worker import keeper as keeper_module
 from worker.keeper import LeaseKeeper
 
@@ -56,7 +57,7 @@ def leases(database: Database, clock: Clock) -> LeaseStore:
 @pytest.fixture
 def claim(database: Database, leases: LeaseStore) -> Claim:
     site = SiteStore(database).add_site(site_of(corner_rig(2)))
-    job, _ = JobStore(database).create(site, {}, [], [StagePlan("a", "h", ())])
+    job, _ = JobStore(database).create(site, {}, [], [PlannedStage("a", "h", ())])
     claim = leases.claim(StageKey(job.id, "a"), "w")
     assert claim is not None
     return claim

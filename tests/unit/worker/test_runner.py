@@ -11,13 +11,13 @@ import pytest
 from tests.recordings import write_recording
 from tests.unit.worker.service import LIMITS, PREFLIGHT, Service, key, run_instead, wait_for
 from wibam_core.adapters.job_rows import StageKey
-from wibam_core.adapters.job_store import StagePlan
 from wibam_core.adapters.lease_store import LeaseStore
 from wibam_core.artifacts.access import ArtifactReader
 from wibam_core.artifacts.catalogue import PROBE
 from wibam_core.jobs.leases import LeasePolicy
 from wibam_core.jobs.records import EventKind, Job
 from wibam_core.jobs.states import JobState, StageState
+from wibam_core.stages.graph import PlannedStage
 from worker.runner import StageRunner
 
 
@@ -77,7 +77,7 @@ class TestRunning:
     def test_a_forced_stage_runs_although_its_outputs_are_there(self, service: Service, recording: Path) -> None:
         job = service.job(recording)
         service.runner().run(key(job))
-        plan = [StagePlan(PREFLIGHT, job.stages[0].hash, ())]
+        plan = [PlannedStage(PREFLIGHT, job.stages[0].hash, ())]
         service.jobs.restart(job.id, job.options, plan, from_stage=PREFLIGHT)
         service.runner().run(key(job))
         assert service.jobs.job(job.id).stages[0].state is StageState.SUCCEEDED
