@@ -10,7 +10,7 @@ from torch import Tensor
 from torch.nn import functional
 
 from wibam_core.geometry.box3d import SIZE
-from wibam_core.geometry.torch_ops import corners, focal_px, wrap_angle
+from wibam_core.geometry.torch_ops import focal_px, wrap_angle
 from wibam_core.networks.dla34.centertrack import (
     BIN_CENTRES_RAD,
     TRAINED_FOCAL_PX,
@@ -23,17 +23,12 @@ from wibam_core.networks.dla34.centertrack import (
 )
 from wibam_core.networks.dla34.targets import DLA34Targets
 from wibam_core.placing import Decode
-from wibam_core.training.losses import focal_loss
+from wibam_core.training.losses import corner_loss, focal_loss
 from wibam_core.training.multiview import OtherViews, multiview_loss
 
 #: Half the width of the bins of alpha: they overlap, so that no heading is at the border of both (Mousavian et al.
 #: 2017; Zhou et al. 2019, CenterNet).
 _BIN_REACH_RAD = 2 * torch.pi / 3
-
-#: Ground corners decoded farther off than this, along rays close to the horizon, teach nothing.
-_MAX_CORNER_RANGE_M = 150.0
-
-_BOTTOM = slice(0, 4)
 
 
 @dataclass(frozen=True)
@@ -87,7 +82,7 @@ def lifted_parts(values: HeadValues, targets: DLA34Targets, decode: Decode) -> d
         "dep": (depths_m(values.dep, seen_by) - targets.depth_m).abs() * trained_scale,
         "dim": (values.size_m - targets.boxes3d[:, SIZE]).abs().sum(dim=1),
         "rot": _bin_loss(values.rot, targets.alpha_rad + turn),
-        "corners": _corner_loss(boxes3d(placed, targets.cameras, decode), labelled),
+        "corners": corner_loss(boxes3d(placed, targets.cameras, decode), labelled),
     }
     return {name: getattr(_WEIGHTS, name) * (error * targets.lifted).sum() / norm for name, error in errors.items()}
 
@@ -102,14 +97,6 @@ def _bin_loss(rot: Tensor, alpha_rad: Tensor) -> Tensor:
         said = functional.cross_entropy(rot[:, start : start + 2], inside.long(), reduction="none")
         loss = loss + said + inside * within
     return loss
-
-
-def _corner_loss(predicted: Tensor, labelled: Tensor) -> Tensor:
-    """(N,) mean smooth L1 between the ground corners of boxes (N, 7), m."""
-    ours, theirs = (corners(boxes)[:, _BOTTOM, :2] for boxes in (predicted, labelled))
-    far = (ours - theirs).detach().abs().amax(dim=(1, 2)) > _MAX_CORNER_RANGE_M
-    error = functional.smooth_l1_loss(ours, theirs, reduction="none").mean(dim=(1, 2))
-    return torch.where(far, torch.zeros_like(error), error)
 
 
 def multiview_part(values: HeadValues, targets: DLA34Targets, others: OtherViews, decode: Decode) -> Tensor:

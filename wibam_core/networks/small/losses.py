@@ -6,21 +6,14 @@ from dataclasses import dataclass, replace
 
 import torch
 from torch import Tensor
-from torch.nn import functional
 
 from wibam_core.geometry.box3d import YAW
-from wibam_core.geometry.torch_ops import corners, wrap_angle
+from wibam_core.geometry.torch_ops import wrap_angle
 from wibam_core.networks.small.architecture import SmallOutputs
 from wibam_core.networks.small.decode import PeakValues, boxes3d, gather
 from wibam_core.networks.small.targets import Targets
 from wibam_core.placing import Decode
-from wibam_core.training.losses import focal_loss
-
-#: Corners of a ground rectangle: the bottom four of a box.
-_BOTTOM = slice(0, 4)
-
-#: Boxes decoded farther off than this, along rays close to the horizon, teach nothing.
-_MAX_CORNER_RANGE_M = 150.0
+from wibam_core.training.losses import corner_loss, focal_loss
 
 
 @dataclass(frozen=True)
@@ -74,7 +67,7 @@ def lifted_loss(
     if weights.corners > 0:
         placed = replace(values, size=targets.size.double())  # else sizes learn to make up for errors of place
         predicted = boxes3d(placed, targets.cameras, mean_sizes_m, decode)
-        parts["corners"] = (_corner_loss(predicted, targets.boxes3d, sign) * lifted).sum() / norm
+        parts["corners"] = (corner_loss(predicted, _turned(targets.boxes3d, sign)) * lifted).sum() / norm
     weighted = {name: part * getattr(weights, name) for name, part in parts.items()}
     return {**weighted, "total": torch.stack([part.double() for part in weighted.values()]).sum()}
 
@@ -86,15 +79,11 @@ def _heading_signs(values: PeakValues, targets: Targets) -> Tensor:
     return torch.where(turned, -1.0, 1.0).double()
 
 
-def _corner_loss(predicted: Tensor, labelled: Tensor, sign: Tensor) -> Tensor:
-    """(N,) mean smooth L1 between the ground corners of boxes (N, 7), m; labels are turned round by ``sign`` −1."""
-    turn = torch.zeros_like(labelled)
+def _turned(boxes: Tensor, sign: Tensor) -> Tensor:
+    """Boxes (N, 7), turned round where ``sign`` (N,) is −1."""
+    turn = torch.zeros_like(boxes)
     turn[:, YAW] = torch.pi * (sign < 0)
-    ours = corners(predicted)[:, _BOTTOM, :2]
-    theirs = corners(labelled + turn)[:, _BOTTOM, :2]
-    far = (ours - theirs).detach().abs().amax(dim=(1, 2)) > _MAX_CORNER_RANGE_M
-    error = functional.smooth_l1_loss(ours, theirs, reduction="none").mean(dim=(1, 2))
-    return torch.where(far, torch.zeros_like(error), error)
+    return boxes + turn
 
 
 def _scale_loss(values: PeakValues, targets: Targets, sign: Tensor) -> Tensor:
