@@ -8,6 +8,9 @@ from pathlib import Path
 import numpy as np
 
 from tests.builders import look_at
+from tests.stage_folders import StageFolders
+from wibam_core.artifacts import catalogue
+from wibam_core.documents.split import Split
 from wibam_core.formats.framestore import FrameStore, FrameStoreWriter
 from wibam_core.geometry.box3d import corners
 from wibam_core.road_users import RoadUserClass
@@ -67,6 +70,20 @@ def tiny_site(folder: Path, instants: int = 4) -> TinySite:
             )
         writer.close()
     return TinySite(rig, FrameStore(folder), annotated, lifts)
+
+
+def give_tiny_site(folder: Path, left_out: frozenset[int] = frozenset()) -> StageFolders:
+    """The tiny site as the stages before fine-tuning would give it; the training part leaves some tracks out."""
+    folders = StageFolders(folder)
+    site = tiny_site(folders.place(catalogue.FRAMES))
+    folders.give(catalogue.RIG, site.rig)
+    folders.give(catalogue.ANNOTATIONS, site.instants)
+    folders.give(catalogue.FITS, site.lifts)
+    times = tuple(instant.time_ns for instant in site.instants)
+    subsets = {"train": times[:2], "val": times[2:3], "test": times[3:]}
+    leaves_out = {"train": left_out, "val": frozenset[int](), "test": frozenset[int]()}
+    folders.give(catalogue.SPLIT, Split(times_ns=subsets, left_out_tracks=leaves_out))
+    return folders
 
 
 def without_detection(instant: AnnotatedInstant, camera_id: str, row: int) -> AnnotatedInstant:

@@ -10,11 +10,10 @@ import torch
 from safetensors.torch import load_file, save_file
 
 from tests.builders import site_of
-from tests.site_dataset import tiny_rig, tiny_site
+from tests.site_dataset import give_tiny_site, tiny_rig
 from tests.stage_folders import StageFolders
 from wibam_core.artifacts import catalogue
 from wibam_core.config import EvaluateConfig, FinetuneConfig, PipelineConfig, PreflightConfig, TrackConfig
-from wibam_core.documents.split import Split
 from wibam_core.errors import InputError, InvalidOption, InvalidWeights, UnreadableVideo
 from wibam_core.models.frames import Frame
 from wibam_core.networks.dla34 import train as dla34
@@ -46,16 +45,7 @@ def weights(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture
 def folders(tmp_path: Path) -> StageFolders:
-    folders = StageFolders(tmp_path)
-    site = tiny_site(folders.place(catalogue.FRAMES))
-    folders.give(catalogue.RIG, site.rig)
-    folders.give(catalogue.ANNOTATIONS, site.instants)
-    folders.give(catalogue.FITS, site.lifts)
-    times = tuple(instant.time_ns for instant in site.instants)
-    nobody: dict[str, frozenset[int]] = dict.fromkeys(("train", "val", "test"), frozenset())
-    split = Split(times_ns={"train": times[:2], "val": times[2:3], "test": times[3:]}, left_out_tracks=nobody)
-    folders.give(catalogue.SPLIT, split)
-    return folders
+    return give_tiny_site(tmp_path)
 
 
 def test_it_is_fine_tuned_compared_and_tracked_with(

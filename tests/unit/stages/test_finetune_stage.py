@@ -6,11 +6,10 @@ import pytest
 import torch
 
 from tests.builders import site_of
-from tests.site_dataset import tiny_rig, tiny_site, without_detection
+from tests.site_dataset import give_tiny_site, tiny_rig, without_detection
 from tests.stage_folders import StageFolders
 from wibam_core.artifacts import catalogue
 from wibam_core.config import FinetuneConfig
-from wibam_core.documents.split import Split
 from wibam_core.models.usage import Usage
 from wibam_core.networks.small.onnx_network import OnnxNetwork
 from wibam_core.networks.weights import load_network, usage_of
@@ -21,19 +20,7 @@ from wibam_core.training.multiview import OtherCameras
 
 
 def folders_of(folder: Path) -> StageFolders:
-    folders = StageFolders(folder)
-    site = tiny_site(folders.place(catalogue.FRAMES))
-    folders.give(catalogue.RIG, site.rig)
-    folders.give(catalogue.ANNOTATIONS, site.instants)
-    folders.give(catalogue.FITS, site.lifts)
-    times = tuple(instant.time_ns for instant in site.instants)
-    nobody: frozenset[int] = frozenset()
-    split = Split(
-        times_ns={"train": times[:2], "val": times[2:3], "test": times[3:]},
-        left_out_tracks={"train": frozenset({8}), "val": nobody, "test": nobody},
-    )
-    folders.give(catalogue.SPLIT, split)
-    return folders
+    return give_tiny_site(folder, left_out=frozenset({8}))
 
 
 def run(folders: StageFolders, config: FinetuneConfig) -> Summary:
@@ -66,7 +53,10 @@ def test_the_other_views_are_as_wide_as_the_images(tmp_path: Path, monkeypatch: 
             widths.extend(self.of([], []).cameras.size[:, 0].tolist())
 
     monkeypatch.setattr("wibam_core.training.finetune.OtherCameras", Watched)
-    run(folders_of(tmp_path), FinetuneConfig(steps=1, batch_size=1, input_width_px=320, method="paper"))
+    run(
+        folders_of(tmp_path),
+        FinetuneConfig(steps=1, batch_size=1, input_width_px=320, method="paper"),
+    )
     assert widths == [320] * 6  # three cameras, and the same mirrored
 
 

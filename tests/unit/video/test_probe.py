@@ -113,16 +113,20 @@ def test_audio_only_is_refused_by_what_it_holds(tmp_path: Path) -> None:
         probe(tmp_path / "sound.wav")
 
 
-def test_codec_that_we_do_not_read_is_named(tmp_path: Path) -> None:
-    path = tmp_path / "a.mkv"
+def black(path: Path, codec: str, frames: int) -> Path:
+    """A recording of black frames."""
     with av.open(str(path), "w") as container:
-        stream = container.add_stream("ffv1", rate=25)
+        stream = container.add_stream(codec, rate=25)
         stream.width, stream.height, stream.pix_fmt = 64, 48, "yuv420p"
-        for _ in range(3):
+        for _ in range(frames):
             container.mux(stream.encode(av.VideoFrame.from_ndarray(np.zeros((48, 64, 3), np.uint8), format="bgr24")))
         container.mux(stream.encode(None))
+    return path
+
+
+def test_codec_that_we_do_not_read_is_named(tmp_path: Path) -> None:
     with pytest.raises(UnreadableVideo, match="ffv1"):
-        probe(path)
+        probe(black(tmp_path / "a.mkv", "ffv1", 3))
 
 
 def test_recording_without_frames_is_refused(tmp_path: Path) -> None:
@@ -175,14 +179,7 @@ def test_real_recordings(assets: Path) -> None:
 
 
 def test_avi_without_presentation_times_is_read(tmp_path: Path) -> None:
-    path = tmp_path / "a.avi"
-    with av.open(str(path), "w") as container:
-        stream = container.add_stream("mpeg4", rate=25)
-        stream.width, stream.height, stream.pix_fmt = 64, 48, "yuv420p"
-        for _ in range(10):
-            container.mux(stream.encode(av.VideoFrame.from_ndarray(np.zeros((48, 64, 3), np.uint8), format="bgr24")))
-        container.mux(stream.encode(None))
-    info = probe(path)
+    info = probe(black(tmp_path / "a.avi", "mpeg4", 10))
     assert (info.codec, info.container, info.frames, info.fps) == ("mpeg4", "avi", 10, pytest.approx(25))
 
 
