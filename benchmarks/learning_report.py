@@ -12,8 +12,9 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
+from benchmarks.learning_limits import limits
 from benchmarks.learning_rows import Row, mean_of, versions, width_px_of
-from benchmarks.learning_sites import CHOSEN_ON
+from benchmarks.learning_sites import CHOSEN_ON, LOOKED_AT
 from wibam_core.config import FinetuneConfig
 from wibam_core.evaluation.metrics import METRICS
 from wibam_core.report.results import PUBLISHED
@@ -65,8 +66,14 @@ def document(rows: Sequence[Row], command: str, name: str = "learning") -> str:
     parts = [
         "# What fine-tuning gains",
         f"{about} {caveats(rows)}",
+        "Before reading on:",
+        limits(rows),
         indent(command, "    "),
         table(rows),
+        *_titled(
+            "As the published evaluation counts (`paper_compat`), beside what the paper reports of its own test set.",
+            as_published(rows),
+        ),
         *_titled("How a job is asked for a method, where it is not what it does unless asked.", options(rows)),
         *_titled(
             "BEV IoU against the baseline: runs in which it differs significantly (p < 0.01, bootstrap over vehicles).",
@@ -85,14 +92,21 @@ def document(rows: Sequence[Row], command: str, name: str = "learning") -> str:
 
 
 def caveats(rows: Sequence[Row]) -> str:
-    """What whoever reads figures of these rows should know: what was chosen on, and whether the code changed."""
+    """What whoever reads these rows should know: which sites were chosen on or seen, and whether the code changed."""
     chosen = sorted({row["run"]["site"] for row in rows if row.get("chosen_on") or row["run"]["site"] in CHOSEN_ON})
     used = (
         f"Used to choose methods and options, so that their figures flatter: {', '.join(map(str, chosen))}."
         if chosen
         else "No site was used to choose methods or options."
     )
-    return f"{used} {versions(rows)}".rstrip()
+    looked_at = ", ".join(str(site) for site in sorted({row["run"]["site"] for row in rows} & LOOKED_AT))
+    seen = (
+        f"Not unseen: figures of earlier versions at {looked_at} were known while the method was changed, and faults "
+        "that they showed were mended."
+        if looked_at
+        else ""
+    )
+    return " ".join(filter(None, (used, seen, versions(rows))))
 
 
 def methods_of(rows: Sequence[Row]) -> list[str]:
@@ -107,6 +121,22 @@ def table(rows: Sequence[Row]) -> str:
         mine = [row for row in rows if row["run"]["method"] == method]
         cells = [_cell([mean_of(row, name) for row in mine], digits) for name, (_, digits) in COLUMNS.items()]
         lines.append(_line(method, mine[0]["decode"], len(mine), *cells))
+    return "\n".join(lines)
+
+
+def as_published(rows: Sequence[Row]) -> str:
+    """The same means as `table`, counted as the published evaluation counts; empty where no row was counted so."""
+    lines = _head("method", "runs", *(COLUMNS[name][0] for name in METRICS))
+    for method in methods_of(rows):
+        mine = [row["paper_compat"] for row in rows if row["run"]["method"] == method and row.get("paper_compat")]
+        if mine:
+            cells = [_cell([mean_of(row, name) for row in mine], COLUMNS[name][1]) for name in METRICS]
+            lines.append(_line(method, len(mine), *cells))
+    if len(lines) == 2:
+        return ""
+    for title, at in (("the paper, before", 0), ("the paper, after", 1)):
+        reported = [PUBLISHED[name][at].mean for name in METRICS]
+        lines.append(_line(title, "–", *(_cell([value], 2) for value in reported)))
     return "\n".join(lines)
 
 

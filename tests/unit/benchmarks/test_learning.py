@@ -14,7 +14,7 @@ import pytest
 
 from benchmarks import data_amount, learning
 from benchmarks.learning_options import command_of, site_parser
-from benchmarks.learning_report import by_distance, document, draw, options, ratios, table, verdicts
+from benchmarks.learning_report import as_published, by_distance, document, draw, options, ratios, table, verdicts
 from benchmarks.learning_rows import RowFile, Run, code_version, joined, mean_of, read_rows, versions, write_rows
 from wibam_core.cli.run import parse_options
 from wibam_core.config import FinetuneConfig, PipelineConfig
@@ -364,3 +364,42 @@ def test_the_data_amount_document_and_curve(tmp_path: Path) -> None:
 
 def test_a_figure_is_a_number_or_a_mean() -> None:
     assert (mean_of({"a": 2}, "a"), mean_of({"a": {"mean": 3}}, "a"), mean_of({}, "a")) == (2, 3, None)
+
+
+def test_the_document_says_first_what_its_figures_cannot_show() -> None:
+    of = {"baseline": (0.40, 0.50, 0.45), "lifted": (0.61, 0.69, 0.65), "baseline_plane": (0.3, 0.3, 0.3)}
+    some = [
+        {"run": {"site": 501 + at, "seed": 0, "method": method, "seconds": 90.0}, **figures(bev)}
+        for method, values in of.items()
+        for at, bev in enumerate(values)
+    ]
+    some.append({"run": {"site": 502, "seed": 0, "method": "paper", "seconds": 90.0}, **figures(0.35)})
+    text = document(some, "command")
+    assert text.index("Not unseen: figures of earlier versions at 501, 502, 503") < text.index("| method |")
+    # gains of 0.21, 0.19 and 0.20: a mean of 0.2, an s.d. of 0.01, and Student's t is 4.303 at 97.5 % and 2 degrees
+    assert f"BEV IoU +0.200 ± {4.303 * 0.01 / 3**0.5:.3f}" in text
+    assert "`paper` ran once (`lifted`: 3 times)" in text and "BEV IoU 0.300 → 0.350" in text
+    assert "4 of 20 at site 502 and 5 of 30 at site 503" in text
+
+    text = document(rows(), "command")
+    assert "no fair trial" not in text and "Not unseen" not in text and "at site 502" not in text
+    one = document([row for row in rows() if row["run"]["site"] == 1], "command")
+    assert "**One site**" in one and "t-intervals" not in one
+
+
+def test_what_cannot_be_told_from_chance_is_said_to_include_zero() -> None:
+    of = {"baseline": (0.4, 0.4, 0.4), "lifted": (0.3, 0.5, 0.7)}
+    some = [
+        {"run": {"site": at, "seed": 0, "method": method, "seconds": 90.0}, **figures(bev)}
+        for method, values in of.items()
+        for at, bev in enumerate(values)
+    ]
+    assert "include 0: BEV IoU +0.100 ± 0.497" in document(some, "command")
+
+
+def test_means_as_published_stand_beside_the_papers_own() -> None:
+    compat = {name: {"mean": 0.2, "sd": 0.1} for name in ("bev_iou", "iou_3d", "ate_m", "ase", "aoe_deg")}
+    lines = as_published([row | {"paper_compat": compat} for row in rows()]).splitlines()
+    assert lines[2] == "| baseline | 2 | 0.200 ± 0.000 | 0.200 ± 0.000 | 0.200 ± 0.000 | 0.200 ± 0.000 | 0.2 ± 0.0 |"
+    assert lines[-1] == "| the paper, after | – | 0.64 | 0.48 | 0.43 | 0.23 | 4.69 |"  # its Table 1
+    assert as_published(rows()) == ""
