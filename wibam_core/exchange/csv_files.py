@@ -16,6 +16,8 @@ from wibam_core.formats import tables
 
 #: Decimals of metres, degrees and their rates in text: finer than anything that is measured.
 DECIMALS = 6
+#: Far beyond all that is measured, and far below what overflows when it is added up.
+_LARGEST = 1e9
 
 
 def write_columns(path: Path, columns: Mapping[str, Sequence[Any] | np.ndarray]) -> None:
@@ -38,7 +40,8 @@ def read_columns(path: Path, schema: pa.Schema, what: str) -> pa.Table:
     """Read the columns of ``schema``; others are ignored.
 
     Raises:
-        InputError: the file is missing, too large or no such table, or a column is missing, mistyped, or not finite.
+        InputError: the file is missing, too large or no such table; a column is missing or mistyped, or holds what
+            cannot be measured.
     """
     content = files.read_bytes(path)
     try:
@@ -47,6 +50,6 @@ def read_columns(path: Path, schema: pa.Schema, what: str) -> pa.Table:
         raise files.wrong(path, "the table", str(cause)) from cause
     table = tables.conform(table, schema, path.name, what)
     for column in schema:
-        if pa.types.is_floating(column.type) and not np.isfinite(table[column.name].to_numpy()).all():
-            raise files.wrong(path, column.name, "has a value that is not finite")
+        if pa.types.is_floating(column.type) and not (np.abs(table[column.name].to_numpy()) <= _LARGEST).all():
+            raise files.wrong(path, column.name, f"has a value that is no number, or beyond {_LARGEST:g}")
     return table

@@ -107,7 +107,7 @@ def test_a_road_user_without_an_extent_gets_the_usual_one(tmp_path: Path) -> Non
         ({"rate": "25\n1,25"}, "one line"),
         ({"meta": "5,car\n"}, "00_tracks.csv: trackId: track 3 has no line"),
         ({"tracks": "3,0,1,2,90,4,2,0,10\n3,0,1,2,90,4,2,0,10\n"}, "track 3 has two states in one frame"),
-        ({"tracks": "3,0,1,2,inf,4,2,0,10\n"}, "heading: .*not finite"),
+        ({"tracks": "3,0,1,2,inf,4,2,0,10\n"}, "heading: has a value that is no number, or beyond"),
         ({"tracks": "3,0,1,2,,4,2,0,10\n"}, "heading has empty values"),
         ({"tracks": "3,zero,1,2,90,4,2,0,10\n"}, "column frame must be int64"),
         ({"tracks": f"3,{10**18},1,2,90,4,2,0,10\n"}, "lasts beyond"),

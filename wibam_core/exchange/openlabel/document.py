@@ -15,6 +15,10 @@ WORLD = "site.world"
 _LATEST_NS = 2**62
 
 
+#: Of a place, a size or a pixel: far beyond all that are measured, and far below what overflows when they are added.
+Coordinate = Annotated[float, Field(ge=-1e9, le=1e9)]
+
+
 def _listed(value: Any) -> Any:
     """TUM Traffic has one cuboid where the standard has a list, and an empty object where there is none."""
     return ([value] if value else []) if isinstance(value, dict) else value
@@ -22,7 +26,8 @@ def _listed(value: Any) -> Any:
 
 def _flat(value: Any) -> Any:
     """Matrices are lists of numbers; some write lists of rows."""
-    return [number for row in value for number in row] if value and all(isinstance(r, list) for r in value) else value
+    has_rows = isinstance(value, list) and bool(value) and all(isinstance(row, list) for row in value)
+    return [number for row in value for number in row] if has_rows else value
 
 
 class _Model(BaseModel):
@@ -63,13 +68,13 @@ class Attributes(_Model):
 
 class Cuboid(_Model):
     coordinate_system: str | None = None
-    val: tuple[float, ...] | None = Field(min_length=9, max_length=10)
+    val: tuple[Coordinate, ...] | None = Field(min_length=9, max_length=10)
     attributes: Attributes = Attributes()
 
 
 class Bbox(_Model):
     coordinate_system: str | None = None
-    val: tuple[float, float, float, float]
+    val: tuple[Coordinate, Coordinate, Coordinate, Coordinate]
     attributes: Attributes = Attributes()
 
 
@@ -116,11 +121,11 @@ class Object(_Model):
 
 
 class Pose(_Model):
-    matrix4x4: Annotated[tuple[float, ...], BeforeValidator(_flat)] | None = Field(
+    matrix4x4: Annotated[tuple[Coordinate, ...], BeforeValidator(_flat)] | None = Field(
         default=None, min_length=16, max_length=16
     )
-    quaternion: tuple[float, float, float, float] = (0.0, 0.0, 0.0, 1.0)
-    translation: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    quaternion: tuple[Coordinate, Coordinate, Coordinate, Coordinate] = (0.0, 0.0, 0.0, 1.0)
+    translation: tuple[Coordinate, Coordinate, Coordinate] = (0.0, 0.0, 0.0)
 
 
 class CoordinateSystem(_Model):
@@ -129,8 +134,8 @@ class CoordinateSystem(_Model):
 
 
 class Pinhole(_Model):
-    camera_matrix: Annotated[tuple[float, ...], BeforeValidator(_flat)] = Field(min_length=9, max_length=12)
-    distortion_coeffs: Annotated[tuple[float, ...], BeforeValidator(_flat)] = Field(default=(), max_length=14)
+    camera_matrix: Annotated[tuple[Coordinate, ...], BeforeValidator(_flat)] = Field(min_length=9, max_length=12)
+    distortion_coeffs: Annotated[tuple[Coordinate, ...], BeforeValidator(_flat)] = Field(default=(), max_length=14)
     width_px: int = Field(gt=0, le=16384)
     height_px: int = Field(gt=0, le=16384)
 

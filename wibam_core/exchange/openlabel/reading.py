@@ -41,6 +41,8 @@ from wibam_core.scene import (
 )
 
 _VISIBILITY = "visibility_"
+#: Whole numbers are exact up to here in JSON.
+_LARGEST_ID = 2**53
 #: An object's number, where its key is no UUID.
 _NUMBER = re.compile(r"-?[0-9]{1,18}")
 
@@ -259,7 +261,9 @@ class _SceneReader:
         if part is Part.LABELS:
             cameras = {n.name for state in states for n in state.attributes.num if n.name.startswith(_VISIBILITY)}
             visibility = {
-                name.removeprefix(_VISIBILITY): np.array([state.attributes.number(name) or 0.0 for state in states])
+                name.removeprefix(_VISIBILITY): np.array(
+                    [_share(state.attributes.number(name) or 0.0) for state in states]
+                )
                 for name in sorted(cameras)
             }
             self._gathered.labels.append(LabelledInstant(vehicles, visibility))
@@ -286,6 +290,8 @@ class _SceneReader:
                     found[camera_id].append((bbox, road_user))
             ground, obj_id = data.numbers("ground", 2), data.number("obj_id")
             road_user = self._classes.get(data.word("type") or "")
+            if obj_id is not None and abs(obj_id) > _LARGEST_ID:
+                raise wrong(self._path, f"{where}.objects.{uid}.object_data.num", "is no number of a vehicle")
             if ground is not None and obj_id is not None and road_user is not None:
                 track_id = max(self._gathered.number_of(uid), -1)
                 vehicles.append(MultiViewVehicle(int(obj_id), track_id, road_user, ground[0], ground[1], views))
