@@ -17,6 +17,7 @@ from wibam_core.artifacts.artifact import Artifact
 from wibam_core.documents.base import MeanSd
 from wibam_core.documents.conflicts import ConflictRow, Conflicts
 from wibam_core.documents.metrics import DetectorFigures, Metrics, Significance
+from wibam_core.geometry.box3d import SIZE, XY
 from wibam_core.report.advice import test_part
 from wibam_core.report.results import NETWORKS, compared
 from wibam_core.scene import Track
@@ -122,9 +123,9 @@ def tracks_table(tracks: Sequence[Track], first: int = 5) -> Table:
         table.add_column(title, justify="left" if title == "class" else "right")
     for track in ordered:
         seconds = (track.times_ns - track.times_ns[0]) / 1e9
-        path = float(np.linalg.norm(np.diff(track.boxes[:, :2], axis=0), axis=1).sum())
+        path = float(np.linalg.norm(np.diff(track.boxes[:, XY], axis=0), axis=1).sum())
         speed = float(np.linalg.norm(track.velocities_mps, axis=1).mean()) * 3.6
-        length, width, height = np.median(track.boxes[:, 3:6], axis=0)
+        length, width, height = np.median(track.boxes[:, SIZE], axis=0)
         table.add_row(
             str(track.track_id),
             track.vehicle_class.value,

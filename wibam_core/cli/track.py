@@ -20,6 +20,7 @@ from wibam_core.errors import CalibrationError, InvalidWeights, MissingCamera
 from wibam_core.evaluation.uncertainty import GROUPS, SdFactors
 from wibam_core.formats.rig import read_rig
 from wibam_core.formats.tracks import write_tracks
+from wibam_core.geometry.box3d import SIZE, XY
 from wibam_core.geometry.camera import Camera
 from wibam_core.models.usage import Usage
 from wibam_core.networks.dla34.architecture import DLA34
@@ -133,8 +134,8 @@ def _images(video: Path, info: VideoInfo, rate: float, console: Console) -> Iter
 def _table(tracks: list[Track], metre: str) -> Table:
     table = Table("track", "class", "from s", "to s", f"path {metre}", f"size {metre}")
     for found in tracks:
-        path = float(np.linalg.norm(np.diff(found.boxes[:, :2], axis=0), axis=1).sum())
-        size = " x ".join(f"{side:.1f}" for side in found.boxes[0, 3:6])
+        path = float(np.linalg.norm(np.diff(found.boxes[:, XY], axis=0), axis=1).sum())
+        size = " x ".join(f"{side:.1f}" for side in found.boxes[0, SIZE])
         start, end = found.times_ns[[0, -1]] * 1e-9
         table.add_row(str(found.track_id), found.vehicle_class.value, f"{start:.1f}", f"{end:.1f}", f"{path:.1f}", size)
     return table

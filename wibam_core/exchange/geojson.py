@@ -16,6 +16,7 @@ import numpy as np
 
 from wibam_core.exchange.base import Content, Part, require_parts
 from wibam_core.exchange.earth import Earth
+from wibam_core.geometry.box3d import HEIGHT, SIZE, XY, XYZ, YAW
 from wibam_core.scene import FloatArray, Track
 
 #: Decimals of degrees: a tenth of a millimetre.
@@ -59,7 +60,7 @@ def _write(path: Path, features: Iterable[dict[str, Any]]) -> None:
 
 def _line(earth: Earth, track: Track) -> dict[str, Any]:
     positions = _positions(earth, track)
-    length_m, width_m, height_m = np.median(track.boxes[:, 3:6], axis=0).round(_METRE_DECIMALS).tolist()
+    length_m, width_m, height_m = np.median(track.boxes[:, SIZE], axis=0).round(_METRE_DECIMALS).tolist()
     return {
         "type": "Feature",
         "id": track.track_id,
@@ -79,13 +80,13 @@ def _line(earth: Earth, track: Track) -> dict[str, Any]:
 
 
 def _points(earth: Earth, track: Track) -> Iterator[dict[str, Any]]:
-    places_sd_m = np.sqrt((track.sd[:, :2] ** 2).mean(axis=1))
+    places_sd_m = np.sqrt((track.sd[:, XY] ** 2).mean(axis=1))
     columns = zip(
         _positions(earth, track),
         track.times_ns.tolist(),
         _speeds_mps(track).tolist(),
         _bearings_deg(earth, track).tolist(),
-        track.boxes[:, 3:6].round(_METRE_DECIMALS).tolist(),
+        track.boxes[:, SIZE].round(_METRE_DECIMALS).tolist(),
         places_sd_m.round(_METRE_DECIMALS).tolist(),
         strict=True,
     )
@@ -112,7 +113,7 @@ def _point(position: Sequence[float]) -> dict[str, Any]:
 
 
 def _positions(earth: Earth, track: Track) -> list[list[float]]:
-    ground = track.boxes[:, :3] - track.boxes[:, 5:6] * [0.0, 0.0, 0.5]
+    ground = track.boxes[:, XYZ] - track.boxes[:, HEIGHT, None] * [0.0, 0.0, 0.5]
     positions = earth.geographic(ground)
     positions[:, :2] = positions[:, :2].round(_DEGREE_DECIMALS)
     positions[:, 2:] = positions[:, 2:].round(_METRE_DECIMALS)
@@ -124,4 +125,4 @@ def _speeds_mps(track: Track) -> FloatArray:
 
 
 def _bearings_deg(earth: Earth, track: Track) -> FloatArray:
-    return earth.bearing_deg(track.boxes[:, 6]).round(_METRE_DECIMALS)
+    return earth.bearing_deg(track.boxes[:, YAW]).round(_METRE_DECIMALS)

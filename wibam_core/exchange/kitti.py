@@ -28,6 +28,7 @@ from wibam_core.errors import InputError
 from wibam_core.exchange.base import CAMERA_ID, Content, Part, require_parts
 from wibam_core.exchange.files import image_size_px, read_text, within, wrong
 from wibam_core.exchange.names import classes_by_name
+from wibam_core.geometry.box3d import HEIGHT, LENGTH, WIDTH, XYZ, YAW
 from wibam_core.geometry.camera import Camera
 from wibam_core.geometry.projection import project_boxes
 from wibam_core.geometry.se3 import SE3, normalise_angle
@@ -193,11 +194,11 @@ def _lines(camera: Camera, vehicles: Vehicles3D, visibility: FloatArray, scored:
         name = CLASSES[vehicles.classes[i]].traits.elsewhere.kitti.written
         if name is None or not np.isfinite(shown[i]).all():
             continue
-        bottom = camera.to_camera(box[:3] - [0, 0, box[5] / 2])
-        rotation_y = _rotation_y(camera, float(box[6]))
+        bottom = camera.to_camera(box[XYZ] - [0, 0, box[HEIGHT] / 2])
+        rotation_y = _rotation_y(camera, float(box[YAW]))
         alpha = float(normalise_angle(rotation_y - np.arctan2(bottom[0], bottom[2])))
         truncated = 1 - _area(shown[i]) / _area(whole[i])
-        numbers = [*shown[i], box[5], box[4], box[3], *bottom, rotation_y]
+        numbers = [*shown[i], box[HEIGHT], box[WIDTH], box[LENGTH], *bottom, rotation_y]
         yield (
             f"{name} {truncated:.2f} {_occluded(float(visibility[i]))} {alpha:.4f} "
             + " ".join(f"{value:.4f}" for value in numbers)

@@ -23,6 +23,7 @@ from wibam_core.exchange import csv_files, motion
 from wibam_core.exchange.base import Content, Part, require_parts
 from wibam_core.exchange.files import read_text, wrong
 from wibam_core.exchange.names import classes_by_name
+from wibam_core.geometry.box3d import LENGTH, WIDTH, YAW, X, Y
 from wibam_core.geometry.se3 import normalise_angle
 from wibam_core.road_users import RoadUserClass
 from wibam_core.scene import FloatArray, IntArray, Track
@@ -105,18 +106,18 @@ def _track_columns(tracks: Sequence[Track], frames: Sequence[IntArray]) -> dict[
     boxes = _joined([track.boxes for track in tracks], 7)
     velocities = _joined([track.velocities_mps for track in tracks], 2)
     accelerations = _joined([motion.accelerations_mps2(track) for track in tracks], 2)
-    speeds = motion.along_and_across(velocities, boxes[:, 6])
-    forces = motion.along_and_across(accelerations, boxes[:, 6])
+    speeds = motion.along_and_across(velocities, boxes[:, YAW])
+    forces = motion.along_and_across(accelerations, boxes[:, YAW])
     return {
         "recordingId": np.zeros(sum(counts), np.int64),
         "trackId": np.repeat(np.array([track.track_id for track in tracks], np.int64), counts),
         "frame": np.concatenate([np.empty(0, np.int64), *frames]),
         "trackLifetime": np.concatenate([np.empty(0, np.int64), *(f - f[0] for f in frames)]),
-        "xCenter": boxes[:, 0],
-        "yCenter": boxes[:, 1],
-        "heading": np.degrees(boxes[:, 6]) % 360.0,
-        "width": boxes[:, 4],
-        "length": boxes[:, 3],
+        "xCenter": boxes[:, X],
+        "yCenter": boxes[:, Y],
+        "heading": np.degrees(boxes[:, YAW]) % 360.0,
+        "width": boxes[:, WIDTH],
+        "length": boxes[:, LENGTH],
         "xVelocity": velocities[:, 0],
         "yVelocity": velocities[:, 1],
         "xAcceleration": accelerations[:, 0],
@@ -135,8 +136,8 @@ def _meta_columns(tracks: Sequence[Track], frames: Sequence[IntArray]) -> dict[s
         "initialFrame": [int(f[0]) for f in frames],
         "finalFrame": [int(f[-1]) for f in frames],
         "numFrames": [len(f) for f in frames],
-        "width": [float(np.median(track.boxes[:, 4])) for track in tracks],
-        "length": [float(np.median(track.boxes[:, 3])) for track in tracks],
+        "width": [float(np.median(track.boxes[:, WIDTH])) for track in tracks],
+        "length": [float(np.median(track.boxes[:, LENGTH])) for track in tracks],
         "class": [track.vehicle_class.traits.elsewhere.levelx.written for track in tracks],
     }
 

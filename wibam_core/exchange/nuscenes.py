@@ -21,6 +21,7 @@ from pydantic import BaseModel, ConfigDict, Field
 from wibam_core.exchange.base import Content, Part, require_parts
 from wibam_core.exchange.files import read_json, wrong
 from wibam_core.exchange.names import classes_by_name
+from wibam_core.geometry.box3d import HEIGHT, LENGTH, WIDTH, XYZ, YAW
 from wibam_core.road_users import CLASSES
 from wibam_core.scene import FloatArray, Track, Vehicles3D
 
@@ -128,9 +129,9 @@ def _boxes(
     return [
         {
             "sample_token": token,
-            "translation": box[:3].tolist(),
-            "size": box[[4, 3, 5]].tolist(),
-            "rotation": [float(np.cos(box[6] / 2)), 0.0, 0.0, float(np.sin(box[6] / 2))],
+            "translation": box[XYZ].tolist(),
+            "size": box[[WIDTH, LENGTH, HEIGHT]].tolist(),
+            "rotation": [float(np.cos(box[YAW] / 2)), 0.0, 0.0, float(np.sin(box[YAW] / 2))],
             "velocity": list(velocities.get((int(vehicles.ids[i]), vehicles.time_ns), (0.0, 0.0))),
             "detection_name": written[vehicles.classes[i]],
             "detection_score": float(vehicles.scores[i]),

@@ -16,7 +16,7 @@ from wibam_core.exchange.csv_files import write_columns
 from wibam_core.exchange.earth import Earth
 from wibam_core.formats import tables
 from wibam_core.formats.tracks import to_table
-from wibam_core.geometry.box3d import BOX_FIELDS
+from wibam_core.geometry.box3d import BOX_FIELDS, XYZ, YAW, X, Y
 from wibam_core.geometry.se3 import normalise_angle
 
 
@@ -40,8 +40,8 @@ class ProjectedCsv:
         table = to_table(content.tracks or ())
         column = {name: table[name].to_numpy() for name in table.column_names}
         boxes, sd = tables.stack_columns(table, BOX_FIELDS), tables.stack_columns(table, tables.SD_FIELDS)
-        places = earth.projected(boxes[:, :3])
-        angle = earth.grid_angle_rad(boxes[:, :3])
+        places = earth.projected(boxes[:, XYZ])
+        angle = earth.grid_angle_rad(boxes[:, XYZ])
         c, s = np.cos(angle), np.sin(angle)
         path = folder / f"tracks_epsg{earth.epsg}.csv"
         write_columns(
@@ -56,13 +56,13 @@ class ProjectedCsv:
                 "length_m": column["length_m"],
                 "width_m": column["width_m"],
                 "height_m": column["height_m"],
-                "yaw_rad": normalise_angle(boxes[:, 6] + angle),
+                "yaw_rad": normalise_angle(boxes[:, YAW] + angle),
                 "v_easting_mps": c * column["vx_mps"] - s * column["vy_mps"],
                 "v_northing_mps": s * column["vx_mps"] + c * column["vy_mps"],
                 "speed_mps": column["speed_mps"],
                 "yaw_rate_radps": column["yaw_rate_radps"],
-                "sd_easting_m": np.hypot(c * sd[:, 0], s * sd[:, 1]),
-                "sd_northing_m": np.hypot(s * sd[:, 0], c * sd[:, 1]),
+                "sd_easting_m": np.hypot(c * sd[:, X], s * sd[:, Y]),
+                "sd_northing_m": np.hypot(s * sd[:, X], c * sd[:, Y]),
                 **{name: sd[:, i] for i, name in enumerate(tables.SD_FIELDS) if i >= 2},
             },
         )

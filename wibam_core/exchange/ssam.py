@@ -17,6 +17,7 @@ import numpy as np
 
 from wibam_core.exchange import motion
 from wibam_core.exchange.base import Content, Part, require_parts
+from wibam_core.geometry.box3d import HEIGHT, LENGTH, WIDTH, XY, YAW, Z
 from wibam_core.scene import Track
 
 _FORMAT, _DIMENSIONS, _TIMESTEP, _VEHICLE = range(4)
@@ -76,21 +77,21 @@ class Ssam:
 
 def _records(track: Track) -> np.ndarray:
     """A VEHICLE record for each state (T,)."""
-    boxes, yaw_rad = track.boxes, track.boxes[:, 6]
-    half_m = boxes[:, 3:4] / 2 * np.stack([np.cos(yaw_rad), np.sin(yaw_rad)], axis=1)
+    boxes, yaw_rad = track.boxes, track.boxes[:, YAW]
+    half_m = boxes[:, LENGTH, None] / 2 * np.stack([np.cos(yaw_rad), np.sin(yaw_rad)], axis=1)
     records = np.zeros(len(track), _VEHICLES)
     records["record"] = _VEHICLE
     records["vehicle_id"] = track.track_id
-    records["front_m"], records["rear_m"] = boxes[:, :2] + half_m, boxes[:, :2] - half_m
-    records["length_m"], records["width_m"] = boxes[:, 3], boxes[:, 4]
+    records["front_m"], records["rear_m"] = boxes[:, XY] + half_m, boxes[:, XY] - half_m
+    records["length_m"], records["width_m"] = boxes[:, LENGTH], boxes[:, WIDTH]
     records["speed_mps"] = np.hypot(*track.velocities_mps.T)
     records["acceleration_mps2"] = motion.along_and_across(motion.accelerations_mps2(track), yaw_rad)[:, 0]
-    records["front_z_m"] = records["rear_z_m"] = boxes[:, 2] - boxes[:, 5] / 2
+    records["front_z_m"] = records["rear_z_m"] = boxes[:, Z] - boxes[:, HEIGHT] / 2
     return records
 
 
 def _bounds_m(tracks: Sequence[Track]) -> tuple[int, int, int, int]:
     """Smallest x and y, largest x and y in whole metres; SSAM passes over road users whose middle lies outside."""
-    centres = np.concatenate([np.zeros((1, 2)), *(track.boxes[:, :2] for track in tracks)])
+    centres = np.concatenate([np.zeros((1, 2)), *(track.boxes[:, XY] for track in tracks)])
     low, high = centres.min(axis=0).tolist(), centres.max(axis=0).tolist()
     return math.floor(low[0]) - 1, math.floor(low[1]) - 1, math.ceil(high[0]) + 1, math.ceil(high[1]) + 1

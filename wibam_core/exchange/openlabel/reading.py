@@ -26,6 +26,7 @@ from wibam_core.exchange.openlabel.document import (
     Scene,
     SceneFile,
 )
+from wibam_core.geometry.box3d import XY, YAW
 from wibam_core.geometry.camera import Camera
 from wibam_core.geometry.se3 import SE3
 from wibam_core.road_users import RoadUserClass
@@ -122,8 +123,8 @@ def _track(uid: int, states: list[_State]) -> Track:
         times_ns,
         boxes,
         np.array([state.sd for state in states]),
-        np.array([v[:2] for v in velocities if v]) if all(velocities) else motion.derivative(boxes[:, :2], times_ns),
-        motion.derivative(np.unwrap(boxes[:, 6]), times_ns) if None in yaw_rates else np.array(yaw_rates, np.float64),
+        np.array([v[:2] for v in velocities if v]) if all(velocities) else motion.derivative(boxes[:, XY], times_ns),
+        motion.derivative(np.unwrap(boxes[:, YAW]), times_ns) if None in yaw_rates else np.array(yaw_rates, np.float64),
     )
 
 

@@ -18,6 +18,7 @@ import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, RootModel, model_validator
 
 from wibam_core.exchange.files import read_json, wrong
+from wibam_core.geometry.box3d import HEIGHT, SIZE, YAW, X, Y, Z
 from wibam_core.geometry.boxes2d import image_iou
 from wibam_core.geometry.projection import project_boxes
 from wibam_core.geometry.se3 import normalise_angle
@@ -64,8 +65,8 @@ class _Reading:
     def boxes(self, raw: FloatArray) -> FloatArray:
         """Raw labels (N, 7) location, size, rot as boxes (N, 7)."""
         boxes = raw.copy()
-        boxes[:, 6] = normalise_angle(np.radians(raw[:, 6]) if self.degrees else raw[:, 6])
-        boxes[:, 2] += raw[:, 5] / 2 if self.bottom else 0.0
+        boxes[:, YAW] = normalise_angle(np.radians(raw[:, 6]) if self.degrees else raw[:, 6])
+        boxes[:, Z] += raw[:, 5] / 2 if self.bottom else 0.0
         return boxes
 
     @property
@@ -146,9 +147,9 @@ def documents(
         for cam in range(len(cameras)):
             files[f"{cam}/{numbers[vehicles.time_ns]}.json"] = {
                 str(i): {
-                    "location": [box[0], box[1], box[2] - box[5] / 2],
-                    "size": box[3:6],
-                    "rot": box[6],
+                    "location": [box[X], box[Y], box[Z] - box[HEIGHT] / 2],
+                    "size": box[SIZE],
+                    "rot": box[YAW],
                     "visibility": shares[:, i].tolist(),
                 }
                 for i, box in enumerate(vehicles.boxes.tolist())
