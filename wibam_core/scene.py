@@ -130,10 +130,13 @@ class FrameSet:
     Attributes:
         time_ns: the instant, a multiple of the sampling period on the reference clock.
         frame_times_ns: exposure time of each camera's frame, reference clock; cameras without a frame are absent.
+        local_times_ns: the same on each camera's own clock: the frame's presentation timestamp in its recording, by
+            which frames are stored.
     """
 
     time_ns: int
     frame_times_ns: Mapping[str, int]
+    local_times_ns: Mapping[str, int]
 
 
 @dataclass(frozen=True)

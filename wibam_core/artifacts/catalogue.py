@@ -25,6 +25,7 @@ from wibam_core.formats.annotations import read_annotations, write_annotations
 from wibam_core.formats.clocks import read_clocks, write_clocks
 from wibam_core.formats.framestore import FrameStore
 from wibam_core.formats.rig import read_rig, write_rig
+from wibam_core.formats.timestamps import read_timestamps, write_timestamps
 from wibam_core.formats.tracks import read_tracks, write_tracks
 from wibam_core.formats.vehicles3d import read_vehicles3d, write_vehicles3d
 
@@ -32,6 +33,13 @@ _ANNOTATIONS = own_format(read_annotations, write_annotations)
 _BOXES_3D = own_format(read_vehicles3d, write_vehicles3d)
 
 PROBE: Final = Artifact("probe", "preflight", "probe.json", "The recordings", document(Probe))
+TIMESTAMPS: Final = Artifact(
+    "timestamps",
+    "preflight",
+    "timestamps.parquet",
+    "Times of all frames of the recordings",
+    own_format(read_timestamps, write_timestamps),
+)
 LIMITS: Final = Artifact("limits", "preflight", "limits.json", "What the clocks must allow", document(Limits))
 CLOCKS: Final = Artifact(
     "clocks", "sync", "clocks.json", "The cameras' clocks", own_format(read_clocks, write_clocks, JSON)
@@ -42,7 +50,12 @@ RESIDUALS: Final = Artifact(
     "residuals", "calibrate", "residuals.json", "Residuals of the calibration", document(CalibrationResiduals)
 )
 FRAMES: Final = Artifact(
-    "frames", "frames", "frames", "Frames of all cameras", Codec(BINARY, FrameStore, None, FrameStore.__module__)
+    "frames",
+    "frames",
+    "frames",
+    "Frames of all cameras",
+    Codec(BINARY, FrameStore, None, FrameStore.__module__),
+    version=2,
 )
 DETECTIONS: Final = Artifact("detections", "detect", "detections.parquet", "2D boxes", _ANNOTATIONS)
 DETECTION_STATISTICS: Final = Artifact(

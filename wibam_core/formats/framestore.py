@@ -1,9 +1,10 @@
-"""The frame store: the frames of all instants, decoded once and kept as JPEG.
+"""The frame store: each camera's frames by its own clock, decoded once and kept as JPEG, and what forms an instant.
 
-A folder with ``index.parquet`` (one row per instant and camera: ``camera_id``, ``time_ns``, ``frame_time_ns``,
-``offset``, ``length``), ``cameras.json`` (sizes) and one ``<camera id>.jpegs`` per camera: its JPEG files end to end.
-Tens of thousands of small files would be slow to make, copy and delete. The index is written last: a folder without
-one is not finished.
+A folder with ``frames.parquet`` (one row per frame: ``camera_id``, ``local_ns``, its presentation timestamp in the
+recording, ``offset``, ``length`` and ``crc32`` of its JPEG file; a length of 0 says that the recording is damaged
+there), ``instants.parquet`` (`wibam_core.formats.instants`), ``cameras.json`` (sizes) and one ``<camera id>.jpegs`` per
+camera: its JPEG files end to end. Tens of thousands of small files would be slow to make, copy and delete.
+``frames.parquet`` is written last: a folder without one is not finished.
 """
 
 from __future__ import annotations
@@ -11,11 +12,12 @@ from __future__ import annotations
 import json
 import mmap
 import threading
-from collections.abc import Mapping
-from dataclasses import asdict, dataclass
+import zlib
+from collections.abc import Iterable, Mapping
+from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from types import TracebackType
-from typing import BinaryIO
+from typing import BinaryIO, NamedTuple
 
 import cv2
 import numpy as np
@@ -24,22 +26,31 @@ import pyarrow.parquet as pq
 from numpy.typing import NDArray
 
 from wibam_core.errors import InputError
+from wibam_core.formats.instants import read_instants, write_instants
 from wibam_core.geometry.pixels import resized_px, scale_of
 from wibam_core.scene import FrameSet
 
 Image = NDArray[np.uint8]
 Size = tuple[int, int]
 
-_INDEX, _CAMERAS, _PACK = "index.parquet", "cameras.json", "{}.jpegs"
+_FRAMES, _INSTANTS, _CAMERAS, _PACK = "frames.parquet", "instants.parquet", "cameras.json", "{}.jpegs"
 _SCHEMA = pa.schema(
     [
-        pa.field("time_ns", pa.int64(), nullable=False),
         pa.field("camera_id", pa.string(), nullable=False),
-        pa.field("frame_time_ns", pa.int64(), nullable=False),
+        pa.field("local_ns", pa.int64(), nullable=False),
         pa.field("offset", pa.int64(), nullable=False),
         pa.field("length", pa.int64(), nullable=False),
+        pa.field("crc32", pa.int64(), nullable=False),
     ]
 )
+
+
+class _Place(NamedTuple):
+    """Where in its camera's file a JPEG lies. Without a length there is none: the recording is damaged there."""
+
+    offset: int = 0
+    length: int = 0
+    crc32: int = 0
 
 
 @dataclass(frozen=True)
@@ -56,8 +67,8 @@ class _Pack:
 
     file: BinaryIO
     size: Size
-    last_frame_ns: int | None = None
-    place: tuple[int, int] = (0, 0)
+    bytes: int = 0
+    places: dict[int, _Place] = field(default_factory=dict)
 
 
 class FrameStoreWriter:
@@ -73,42 +84,66 @@ class FrameStoreWriter:
         self._folder = folder
         self._parameters = [cv2.IMWRITE_JPEG_QUALITY, jpeg_quality]
         self._packs: dict[str, _Pack] = {}
-        self._rows: list[tuple[int, str, int, int, int]] = []
+        self._instants: dict[int, dict[str, tuple[int, int]]] = {}
+        self._damaged: dict[str, set[int]] = {}
         self._lock = threading.Lock()
 
     def add(
         self, camera_id: str, time_ns: int, frame_time_ns: int, image_bgr: Image, jpeg: bytes | None = None
     ) -> None:
-        """Store a camera's frame for an instant. The same frame for two instants in a row is stored once.
+        """Store a frame of a camera that keeps the reference clock, and let it belong to an instant.
+
+        Args:
+            camera_id: as in `add_frame`.
+            time_ns: the instant.
+            frame_time_ns: when the frame was exposed.
+            image_bgr: as in `add_frame`.
+            jpeg: the image as a JPEG file, where it came as one: it is stored as it is.
+        """
+        if jpeg is None:
+            self.add_frame(camera_id, frame_time_ns, image_bgr)
+        else:
+            self.add_jpeg(camera_id, frame_time_ns, jpeg, (image_bgr.shape[1], image_bgr.shape[0]))
+        self.add_to_instant(time_ns, camera_id, frame_time_ns, frame_time_ns)
+
+    def add_frame(self, camera_id: str, local_ns: int, image_bgr: Image) -> None:
+        """Store a camera's frame. One that is there already stays.
 
         Args:
             camera_id: plain, as `wibam_core.site.CameraId`: it names a file.
-            time_ns: the instant.
-            frame_time_ns: when the frame was exposed, reference clock.
+            local_ns: when the frame was exposed, on the camera's own clock.
             image_bgr: (H, W, 3) uint8, all of a camera's of one size.
-            jpeg: the image as a JPEG file, where it came as one: it is stored as it is.
         """
         height, width = image_bgr.shape[:2]
-        with self._lock:
-            if camera_id not in self._packs:
-                file = (self._folder / _PACK.format(camera_id)).open("wb")
-                self._packs[camera_id] = _Pack(file, (width, height))
-            pack = self._packs[camera_id]
-        if (width, height) != pack.size:
-            raise ValueError(f"camera {camera_id} has frames of {pack.size} px, not {(width, height)} px")
-        if frame_time_ns != pack.last_frame_ns:
-            data = self._encoded(image_bgr) if jpeg is None else jpeg
-            pack.place = (sum(pack.place), len(data))
-            pack.last_frame_ns = frame_time_ns
-            pack.file.write(data)
-        with self._lock:
-            self._rows.append((time_ns, camera_id, frame_time_ns, *pack.place))
+        pack = self._pack(camera_id, (width, height))
+        if local_ns not in pack.places:
+            done, data = cv2.imencode(".jpg", image_bgr, self._parameters)
+            if not done:
+                raise ValueError(f"a frame of shape {image_bgr.shape} and type {image_bgr.dtype} cannot be stored")
+            self._append(pack, local_ns, data.tobytes())
 
-    def _encoded(self, image_bgr: Image) -> bytes:
-        done, data = cv2.imencode(".jpg", image_bgr, self._parameters)
-        if not done:
-            raise ValueError(f"a frame of shape {image_bgr.shape} and type {image_bgr.dtype} cannot be stored")
-        return data.tobytes()
+    def add_jpeg(self, camera_id: str, local_ns: int, jpeg: bytes, size: Size) -> None:
+        """As `add_frame`, of a JPEG file of this size (width, height) px."""
+        pack = self._pack(camera_id, size)
+        if local_ns not in pack.places:
+            self._append(pack, local_ns, jpeg)
+
+    def add_damaged(self, camera_id: str, times_ns: Iterable[int]) -> None:
+        """Say which frames of a recording, by their times on the camera's own clock, cannot be decoded."""
+        with self._lock:
+            self._damaged.setdefault(camera_id, set()).update(times_ns)
+
+    def add_to_instant(self, time_ns: int, camera_id: str, local_ns: int, frame_time_ns: int) -> None:
+        """Let a frame belong to an instant.
+
+        Args:
+            time_ns: the instant, reference clock.
+            camera_id: whose frame.
+            local_ns: when it was exposed, on the camera's own clock.
+            frame_time_ns: the same on the reference clock.
+        """
+        with self._lock:
+            self._instants.setdefault(time_ns, {})[camera_id] = (frame_time_ns, local_ns)
 
     def close(self, native_sizes: Mapping[str, Size] | None = None) -> None:
         """Finish the store.
@@ -120,9 +155,39 @@ class FrameStoreWriter:
         native = native_sizes or {}
         sizes = {id_: _Sizes(*pack.size, *native.get(id_, pack.size)) for id_, pack in sorted(self._packs.items())}
         (self._folder / _CAMERAS).write_text(json.dumps({id_: asdict(s) for id_, s in sizes.items()}, indent=1))
-        columns = zip(*sorted(self._rows), strict=True) if self._rows else [[] for _ in _SCHEMA]
+        instants = [
+            FrameSet(
+                time_ns,
+                {camera_id: frame_time_ns for camera_id, (frame_time_ns, _) in frames.items()},
+                {camera_id: local_ns for camera_id, (_, local_ns) in frames.items()},
+            )
+            for time_ns, frames in self._instants.items()
+        ]
+        write_instants(self._folder / _INSTANTS, instants)
+        rows = [
+            (id_, local_ns, place.offset, place.length, place.crc32)
+            for id_, pack in self._packs.items()
+            for local_ns, place in pack.places.items()
+        ]
+        rows += [(id_, local_ns, 0, 0, 0) for id_, times_ns in self._damaged.items() for local_ns in times_ns]
+        columns = zip(*sorted(rows), strict=True) if rows else [[] for _ in _SCHEMA]
         arrays = [pa.array(column, type=field.type) for column, field in zip(columns, _SCHEMA, strict=True)]
-        pq.write_table(pa.table(arrays, schema=_SCHEMA), self._folder / _INDEX, compression="zstd")
+        pq.write_table(pa.table(arrays, schema=_SCHEMA), self._folder / _FRAMES, compression="zstd")
+
+    def _pack(self, camera_id: str, size: Size) -> _Pack:
+        with self._lock:
+            if camera_id not in self._packs:
+                self._packs[camera_id] = _Pack((self._folder / _PACK.format(camera_id)).open("wb"), size)
+            pack = self._packs[camera_id]
+        if size != pack.size:
+            raise ValueError(f"camera {camera_id} has frames of {pack.size} px, not {size} px")
+        return pack
+
+    @staticmethod
+    def _append(pack: _Pack, local_ns: int, jpeg: bytes) -> None:
+        pack.file.write(jpeg)
+        pack.places[local_ns] = _Place(pack.bytes, len(jpeg), zlib.crc32(jpeg))
+        pack.bytes += len(jpeg)
 
     def _close_files(self) -> None:
         for pack in self._packs.values():
@@ -154,21 +219,18 @@ class FrameStore:
         self.folder = folder
         try:
             sizes = json.loads((folder / _CAMERAS).read_text())
-            table = pq.read_table(folder / _INDEX, schema=_SCHEMA)
+            table = pq.read_table(folder / _FRAMES, schema=_SCHEMA)
+            self.frame_sets: list[FrameSet] = read_instants(folder / _INSTANTS)
         except (OSError, ValueError, pa.ArrowInvalid) as error:
             raise InputError(
                 f"{folder.name} holds no finished frame store: {error}", hint="Run the frames stage again."
             ) from error
         self._sizes = {id_: _Sizes(**values) for id_, values in sizes.items()}
         self.camera_ids: tuple[str, ...] = tuple(self._sizes)
-        self._places: dict[tuple[str, int], tuple[int, int]] = {}
-        frames: dict[int, dict[str, int]] = {}
-        for time_ns, camera_id, frame_time_ns, offset, length in zip(
-            *(column.to_pylist() for column in table.columns), strict=True
-        ):
-            frames.setdefault(time_ns, {})[camera_id] = frame_time_ns
-            self._places[camera_id, time_ns] = (offset, length)
-        self.frame_sets: list[FrameSet] = [FrameSet(time_ns, frames[time_ns]) for time_ns in sorted(frames)]
+        self._places: dict[str, dict[int, _Place]] = {}
+        for camera_id, local_ns, *place in zip(*(column.to_pylist() for column in table.columns), strict=True):
+            self._places.setdefault(camera_id, {})[local_ns] = _Place(*place)
+        self._instants = {instant.time_ns: instant for instant in self.frame_sets}
         self._packs: dict[str, mmap.mmap] = {}
 
     def __len__(self) -> int:
@@ -192,7 +254,7 @@ class FrameStore:
 
     def has(self, camera_id: str, time_ns: int) -> bool:
         """Whether the camera has a frame for the instant."""
-        return (camera_id, time_ns) in self._places
+        return time_ns in self._instants and camera_id in self._instants[time_ns].local_times_ns
 
     def image(self, camera_id: str, time_ns: int) -> Image:
         """A camera's frame (H, W, 3) uint8, BGR, for the instant ``time_ns`` of a frame set.
@@ -201,14 +263,29 @@ class FrameStore:
             KeyError: the camera has no frame for that instant.
             InputError: the stored frame is damaged.
         """
-        offset, length = self._places[camera_id, time_ns]
-        data = np.frombuffer(self._pack(camera_id)[offset : offset + length], dtype=np.uint8)
-        image = cv2.imdecode(data, cv2.IMREAD_COLOR_BGR) if len(data) == length else None
+        return self.image_at(camera_id, self._instants[time_ns].local_times_ns[camera_id])
+
+    def image_at(self, camera_id: str, local_ns: int) -> Image:
+        """As `image`, by the time on the camera's own clock."""
+        image = cv2.imdecode(np.frombuffer(self.jpeg_at(camera_id, local_ns), np.uint8), cv2.IMREAD_COLOR_BGR)
         if image is None:
-            raise InputError(
-                f"the stored frame of camera {camera_id} at {time_ns} ns is damaged", hint="Run the frames stage again."
-            )
+            raise _damaged(camera_id, local_ns)
         return np.asarray(image, dtype=np.uint8)
+
+    def jpeg_at(self, camera_id: str, local_ns: int) -> bytes:
+        """As `image_at`, as a JPEG file."""
+        place = self._places[camera_id][local_ns]
+        if not place.length:
+            raise KeyError(local_ns)
+        jpeg = self._pack(camera_id)[place.offset : place.offset + place.length]
+        if zlib.crc32(jpeg) != place.crc32:
+            raise _damaged(camera_id, local_ns)
+        return jpeg
+
+    def damaged(self, camera_id: str) -> frozenset[int]:
+        """Times, on the camera's own clock, at which the recording is known to be damaged."""
+        places = self._places.get(camera_id, {})
+        return frozenset(local_ns for local_ns, place in places.items() if not place.length)
 
     def size(self, camera_id: str) -> Size:
         """(width, height) px of the stored frames."""
@@ -241,3 +318,10 @@ class FrameStore:
             with (self.folder / _PACK.format(camera_id)).open("rb") as file:
                 self._packs[camera_id] = mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ)
         return self._packs[camera_id]
+
+
+def _damaged(camera_id: str, local_ns: int) -> InputError:
+    return InputError(
+        f"the stored frame of camera {camera_id} at {local_ns} ns of its clock is damaged",
+        hint="Run the frames stage again.",
+    )

@@ -12,15 +12,15 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from wibam_core.artifacts.catalogue import CLOCKS, FRAMES, LIMITS, PROBE
+from wibam_core.artifacts.catalogue import CLOCKS, FRAMES, LIMITS, PROBE, TIMESTAMPS
 from wibam_core.config import FramesConfig
 from wibam_core.documents.recordings import VideoInfo
 from wibam_core.errors import NoOverlap
 from wibam_core.formats.framestore import FrameStoreWriter
 from wibam_core.scene import ClockMap
 from wibam_core.stages.base import StageContext, Summary
-from wibam_core.video.decode import DecodeCount, frames_nearest
-from wibam_core.video.sampling import Span, common_instants, overlap_s, period_ns
+from wibam_core.video.decode import OnePass
+from wibam_core.video.sampling import Span, common_instants, nearer_times, overlap_s, period_ns
 
 _SECONDS_BETWEEN_REPORTS = 0.5
 _HINT_ALONE = "Check that camera's recording and clock, or remove it from the site."
@@ -28,15 +28,16 @@ _HINT_ALONE = "Check that camera's recording and clock, or remove it from the si
 
 @dataclass
 class _Camera:
-    """One camera's work: its recording, its clock, the instants it covers, and how far it is."""
+    """One camera's work: its recording, its clock, all its frames, the instants it covers, and how far it is."""
 
     id: str
     recording: Path
     clock: ClockMap
     info: VideoInfo
+    times_ns: NDArray[np.int64]
     instants_ns: NDArray[np.int64]
     tolerance_ns: int
-    count: DecodeCount = field(default_factory=DecodeCount)
+    damaged: set[int] = field(default_factory=set)
     stored: int = 0
     seen: int = 0
 
@@ -58,8 +59,9 @@ def run(context: StageContext, config: FramesConfig) -> Summary:
             spans_ns=_spans_ns(spans),
         )
     _check_shared(spans, infos, context.read(LIMITS).min_overlap_s)
+    times = context.read(TIMESTAMPS)
     cameras = [
-        _camera(camera_id, context.recordings[camera_id], clocks[camera_id], info, instants, config.rate_hz)
+        _camera(camera_id, context.recordings[camera_id], clocks[camera_id], info, times[camera_id], instants, config)
         for camera_id, info in infos.items()
     ]
     with FrameStoreWriter(context.new_file(FRAMES), config.jpeg_quality) as writer:
@@ -71,7 +73,7 @@ def run(context: StageContext, config: FramesConfig) -> Summary:
         "seconds": round(float(instants[-1] - instants[0]) / 1e9, 3),
         "frames": {camera.id: camera.stored for camera in cameras},
         "without_frame": {camera.id: len(camera.instants_ns) - camera.stored for camera in cameras},
-        "damaged": {camera.id: camera.count.damaged for camera in cameras},
+        "damaged": {camera.id: len(camera.damaged) for camera in cameras},
     }
 
 
@@ -127,12 +129,18 @@ def _spans_ns(spans: Mapping[str, Span]) -> dict[str, list[int]]:
 
 
 def _camera(
-    camera_id: str, recording: Path, clock: ClockMap, info: VideoInfo, instants: NDArray[np.int64], rate_hz: float
+    camera_id: str,
+    recording: Path,
+    clock: ClockMap,
+    info: VideoInfo,
+    times_ns: NDArray[np.int64],
+    instants: NDArray[np.int64],
+    config: FramesConfig,
 ) -> _Camera:
-    tolerance_ns = int(max(1e9 / info.fps, float(period_ns(rate_hz))) / 2)
+    tolerance_ns = int(max(1e9 / info.fps, float(period_ns(config.rate_hz))) / 2)
     span = _span(info, clock)
     near = instants[(instants >= span.first_ns - tolerance_ns) & (instants <= span.last_ns + tolerance_ns)]
-    return _Camera(camera_id, recording, clock, info, near, tolerance_ns)
+    return _Camera(camera_id, recording, clock, info, times_ns, near, tolerance_ns)
 
 
 def _read_all(cameras: list[_Camera], writer: FrameStoreWriter, width_px: int, context: StageContext) -> None:
@@ -153,17 +161,18 @@ def _read_all(cameras: list[_Camera], writer: FrameStoreWriter, width_px: int, c
 
 
 def _read(camera: _Camera, writer: FrameStoreWriter, width_px: int, stop: threading.Event) -> None:
-    local = camera.clock.to_local_ns(camera.instants_ns)
-    number_of = {int(target): number for number, target in enumerate(local)}
-    nearest = frames_nearest(
-        camera.recording, local.tolist(), tolerance_ns=camera.tolerance_ns, width_px=width_px, count=camera.count
-    )
-    for frame in nearest:
+    one_pass = OnePass(camera.recording, among=set(camera.times_ns.tolist()), width_px=width_px)
+    targets = camera.clock.to_local_ns(camera.instants_ns)
+    for instant_ns, target_ns in zip(camera.instants_ns.tolist(), targets.tolist(), strict=True):
         if stop.is_set():
             return
-        number = number_of[frame.target_ns]
-        frame_time_ns = int(camera.clock.to_reference_ns(frame.time_ns))
-        writer.add(camera.id, int(camera.instants_ns[number]), frame_time_ns, frame.image_bgr)
-        camera.stored += 1
-        camera.seen = number + 1
-    camera.seen = len(camera.instants_ns)
+        frame = one_pass.nearest(target_ns, camera.tolerance_ns)
+        found_ns = None if frame is None else frame.time_ns
+        camera.damaged.update(nearer_times(camera.times_ns, target_ns, found_ns, camera.tolerance_ns))
+        if frame is not None:
+            writer.add_frame(camera.id, frame.time_ns, frame.image_bgr)
+            frame_time_ns = int(camera.clock.to_reference_ns(frame.time_ns))
+            writer.add_to_instant(instant_ns, camera.id, frame.time_ns, frame_time_ns)
+            camera.stored += 1
+        camera.seen += 1
+    writer.add_damaged(camera.id, camera.damaged)

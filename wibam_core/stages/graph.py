@@ -107,7 +107,7 @@ _SPECS = (
     StageSpec(
         "frames",
         "Read the frames",
-        (catalogue.PROBE, catalogue.LIMITS, catalogue.CLOCKS),
+        (catalogue.PROBE, catalogue.TIMESTAMPS, catalogue.LIMITS, catalogue.CLOCKS),
         _sizes,
         reads_recordings=True,
     ),

@@ -12,6 +12,7 @@ from pathlib import Path
 
 import cv2
 import numpy as np
+from numpy.typing import NDArray
 
 from wibam_core.artifacts import catalogue
 from wibam_core.association.associate import association_statistics
@@ -130,13 +131,15 @@ def _check(content: Content, site_dir: Path) -> None:
 
 def _give_recordings(site: Site, instants: Sequence[AnnotatedInstant], site_dir: Path) -> None:
     """What is known of the recordings that the frames come from, all on one clock."""
-    infos = {camera.id: _video_info(camera.id, camera.width_px, camera.height_px, instants) for camera in site.cameras}
+    times_ns = {camera_id: _times_ns(camera_id, instants) for camera_id in site.camera_ids}
+    infos = {camera.id: _video_info(camera.width_px, camera.height_px, times_ns[camera.id]) for camera in site.cameras}
     shown = {
         camera_id: f"{info.codec} {info.width_px}x{info.height_px} {info.fps:.2f} fps {info.duration_s:.1f} s"
         for camera_id, info in infos.items()
     }
     with giving(site_dir, "preflight", {"cameras": shown}) as given:
         given.write(catalogue.PROBE, Probe(cameras=infos))
+        given.write(catalogue.TIMESTAMPS, times_ns)
         given.write(catalogue.LIMITS, Limits(min_overlap_s=0.0))
     with giving(site_dir, "sync", {"method": "none"}) as given:
         given.write(catalogue.CLOCKS, Clocks({camera_id: ClockMap() for camera_id in site.camera_ids}))
@@ -146,8 +149,12 @@ def _give_recordings(site: Site, instants: Sequence[AnnotatedInstant], site_dir:
         )
 
 
-def _video_info(camera_id: str, width_px: int, height_px: int, instants: Sequence[AnnotatedInstant]) -> VideoInfo:
-    times = np.array([i.detections[camera_id].frame_time_ns for i in instants if camera_id in i.detections])
+def _times_ns(camera_id: str, instants: Sequence[AnnotatedInstant]) -> NDArray[np.int64]:
+    times = [i.detections[camera_id].frame_time_ns for i in instants if camera_id in i.detections]
+    return np.unique(np.array(times, dtype=np.int64))
+
+
+def _video_info(width_px: int, height_px: int, times: NDArray[np.int64]) -> VideoInfo:
     intervals = np.diff(times) if len(times) > 1 else np.array([1_000_000_000])
     usual_ns = float(np.median(intervals))
     return VideoInfo(

@@ -4,18 +4,21 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from wibam_core.artifacts.catalogue import LIMITS, PROBE
+import numpy as np
+from numpy.typing import NDArray
+
+from wibam_core.artifacts.catalogue import LIMITS, PROBE, TIMESTAMPS
 from wibam_core.config import PreflightConfig
 from wibam_core.documents.recordings import Limits, Probe, VideoInfo
 from wibam_core.errors import InputError, InvalidWeights, MissingCamera, NoOverlap, UnreadableVideo
 from wibam_core.formats.labels import read_labels
 from wibam_core.site import SiteCamera
 from wibam_core.stages.base import StageContext, Summary
-from wibam_core.video.probe import probe
+from wibam_core.video.probe import measure
 
 
 def run(context: StageContext, config: PreflightConfig) -> Summary:
-    """Write `PROBE` and `LIMITS`.
+    """Write `PROBE`, `TIMESTAMPS` and `LIMITS`.
 
     Labels, and a network of the site's own where the options ask for it, are read and checked, no more.
 
@@ -34,9 +37,10 @@ def run(context: StageContext, config: PreflightConfig) -> Summary:
     if "network" in context.assets:
         _check_network(context.assets["network"])
     infos: dict[str, VideoInfo] = {}
+    times: dict[str, NDArray[np.int64]] = {}
     for number, camera in enumerate(context.site.cameras):
         context.progress(number / len(context.site.cameras), f"camera {camera.id}")
-        info = _probe(camera.id, context.recordings[camera.id])
+        info, times[camera.id] = _measure(camera.id, context.recordings[camera.id])
         _check_size(camera, info)
         if info.duration_s < config.min_overlap_s:
             raise NoOverlap(
@@ -47,6 +51,7 @@ def run(context: StageContext, config: PreflightConfig) -> Summary:
             )
         infos[camera.id] = info
     context.write(PROBE, Probe(cameras=infos))
+    context.write(TIMESTAMPS, times)
     context.write(LIMITS, Limits(min_overlap_s=config.min_overlap_s))
     context.progress(1.0)
     return {
@@ -60,9 +65,9 @@ def run(context: StageContext, config: PreflightConfig) -> Summary:
     }
 
 
-def _probe(camera_id: str, path: Path) -> VideoInfo:
+def _measure(camera_id: str, path: Path) -> tuple[VideoInfo, NDArray[np.int64]]:
     try:
-        return probe(path)
+        return measure(path)
     except UnreadableVideo as error:
         raise UnreadableVideo(f"camera {camera_id}: {error.message}", hint=error.hint, camera=camera_id) from error
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Set
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -22,18 +22,6 @@ _QUARTER_TURNS = {90: cv2.ROTATE_90_COUNTERCLOCKWISE, 180: cv2.ROTATE_180, 270: 
 _BT601_MATRICES, _FULL_RANGE = (2, 5, 6), 2
 
 
-@dataclass
-class DecodeCount:
-    """What happened while decoding. Pass one in to read it afterwards.
-
-    Attributes:
-        frames: frames that came out. damaged: packets and frames that were left out because they are corrupt.
-    """
-
-    frames: int = 0
-    damaged: int = 0
-
-
 @dataclass(frozen=True, eq=False)
 class NearestFrame:
     """The frame nearest to a wanted time.
@@ -48,36 +36,27 @@ class NearestFrame:
     image_bgr: Image
 
 
-def decode(
-    path: Path, *, width_px: int | None = None, threads: int = 1, count: DecodeCount | None = None
-) -> Iterator[tuple[int, Image]]:
+def decode(path: Path, *, width_px: int | None = None, threads: int = 1) -> Iterator[tuple[int, Image]]:
     """Every frame of a recording: (presentation time in ns, BGR image (H, W, 3) uint8), times strictly increasing.
 
-    Damaged frames are left out and counted.
+    Damaged frames are left out.
 
     Args:
         path: the file.
         width_px: shrink frames that are wider to this width, by area, keeping the aspect ratio.
         threads: decoding threads.
-        count: filled while frames are read.
 
     Raises:
         UnreadableVideo: the file cannot be opened.
     """
-    for time_ns, frame in _frames(path, threads, count or DecodeCount()):
+    for time_ns, frame in _frames(path, threads):
         yield time_ns, _to_bgr(frame, width_px)
 
 
 def frames_nearest(
-    path: Path,
-    times_ns: Iterable[int],
-    *,
-    tolerance_ns: int,
-    width_px: int | None = None,
-    threads: int = 1,
-    count: DecodeCount | None = None,
+    path: Path, times_ns: Iterable[int], *, tolerance_ns: int, width_px: int | None = None, threads: int = 1
 ) -> Iterator[NearestFrame]:
-    """For each wanted time the nearest frame (the earlier of two equally near), in one pass over the file.
+    """For each wanted time the nearest frame, in one pass over the file.
 
     Wanted times without a frame within the tolerance yield nothing. Only chosen frames are converted to BGR.
 
@@ -87,56 +66,79 @@ def frames_nearest(
         tolerance_ns: largest distance of a frame from its wanted time.
         width_px: as in `decode`.
         threads: decoding threads.
-        count: filled while frames are read.
 
     Raises:
         UnreadableVideo: the file cannot be opened.
         ValueError: the wanted times descend.
     """
-    frames = _frames(path, threads, count or DecodeCount())
-    before: tuple[int, VideoFrame] | None = None
-    after = next(frames, None)
-    chosen: tuple[int, Image] | None = None
-    last_target: int | None = None
+    one_pass = OnePass(path, width_px=width_px, threads=threads)
     for target in times_ns:
-        if last_target is not None and target < last_target:
+        found = one_pass.nearest(target, tolerance_ns)
+        if found is not None:
+            yield found
+
+
+class OnePass:
+    """Looks for frames in one pass over a recording, which is opened when the first one is asked for.
+
+    Args:
+        path: the file.
+        among: times of the frames that count; None: all.
+        width_px: as in `decode`.
+        threads: decoding threads.
+    """
+
+    def __init__(
+        self, path: Path, *, among: Set[int] | None = None, width_px: int | None = None, threads: int = 1
+    ) -> None:
+        frames = _frames(path, threads)
+        self._frames = frames if among is None else (frame for frame in frames if frame[0] in among)
+        self._width_px = width_px
+        self._before: tuple[int, VideoFrame] | None = None
+        self._after: tuple[int, VideoFrame] | None = None
+        self._last_target_ns: int | None = None
+        self._chosen: NearestFrame | None = None
+
+    def nearest(self, target_ns: int, tolerance_ns: int) -> NearestFrame | None:
+        """The frame nearest to a time (the earlier of two equally near), None where none is within the tolerance.
+
+        Raises:
+            UnreadableVideo: the file cannot be opened.
+            ValueError: a later time was asked for before.
+        """
+        if self._last_target_ns is None:
+            self._after = next(self._frames, None)
+        elif target_ns < self._last_target_ns:
             raise ValueError("wanted times must ascend")
-        last_target = target
-        while after is not None and after[0] < target:
-            before, after = after, next(frames, None)
-        candidates = [frame for frame in (before, after) if frame is not None]
-        if not candidates:
-            return
-        time_ns, frame = min(candidates, key=lambda candidate: abs(candidate[0] - target))
-        if abs(time_ns - target) > tolerance_ns:
-            continue
-        if chosen is None or chosen[0] != time_ns:
-            chosen = (time_ns, _to_bgr(frame, width_px))
-        yield NearestFrame(int(target), time_ns, chosen[1])
+        self._last_target_ns = target_ns
+        while self._after is not None and self._after[0] < target_ns:
+            self._before, self._after = self._after, next(self._frames, None)
+        candidates = [frame for frame in (self._before, self._after) if frame is not None]
+        time_ns, frame = min(candidates, key=lambda candidate: abs(candidate[0] - target_ns), default=(0, None))
+        if frame is None or abs(time_ns - target_ns) > tolerance_ns:
+            return None
+        image = self._chosen.image_bgr if self._chosen and self._chosen.time_ns == time_ns else None
+        self._chosen = NearestFrame(target_ns, time_ns, _to_bgr(frame, self._width_px) if image is None else image)
+        return self._chosen
 
 
-def _frames(path: Path, threads: int, count: DecodeCount) -> Iterator[tuple[int, VideoFrame]]:
+def _frames(path: Path, threads: int) -> Iterator[tuple[int, VideoFrame]]:
     """Sound frames in the order of time, each time once, all of the first one's size."""
     last_ns: int | None = None
     size: tuple[int, int] | None = None
     with open_video(path, threads) as (container, stream):
-        for frame in _decoded(container, stream, count):
+        for frame in _decoded(container, stream):
             if frame.pts is None or frame.time_base is None or frame.is_corrupt:
-                count.damaged += 1
                 continue
             time_ns = ns_from_pts(frame.pts, frame.time_base)
             size = size or (frame.width, frame.height)
             if (last_ns is not None and time_ns <= last_ns) or (frame.width, frame.height) != size:
-                count.damaged += 1
                 continue
             last_ns = time_ns
-            count.frames += 1
             yield time_ns, frame
 
 
-def _decoded(
-    container: av.container.InputContainer, stream: av.video.stream.VideoStream, count: DecodeCount
-) -> Iterator[VideoFrame]:
+def _decoded(container: av.container.InputContainer, stream: av.video.stream.VideoStream) -> Iterator[VideoFrame]:
     """Whatever the decoder gives, past packets that it refuses, to the end or to where the file is cut off."""
     packets = container.demux(stream)
     while True:
@@ -145,12 +147,10 @@ def _decoded(
         except StopIteration:
             return
         except (av.FFmpegError, EOFError):
-            count.damaged += 1
             break
         try:
             frames = stream.decode(packet)
         except av.FFmpegError:
-            count.damaged += 1
             continue
         yield from frames
     yield from stream.decode(None)

@@ -24,7 +24,15 @@ _MAX_TIME_NS = 100 * 365 * 86_400 * 10**9
 
 
 def probe(path: Path) -> VideoInfo:
+    """Measure a recording: as `measure`, without the times."""
+    return measure(path)[0]
+
+
+def measure(path: Path) -> tuple[VideoInfo, NDArray[np.int64]]:
     """Measure a recording: reads all of it, decodes one frame.
+
+    Returns:
+        What it is, and the presentation times (N,) in ns of all its frames, ascending. Not all of them need decode.
 
     Raises:
         UnreadableVideo: not a video, no video stream, an unknown codec, too large a frame, cut off, or no frame
@@ -48,7 +56,7 @@ def probe(path: Path) -> VideoInfo:
     usual_ns = _usual_interval_ns(intervals_ns)
     rotation = int(first.rotation) % 360
     width, height = (first.width, first.height) if rotation % 180 == 0 else (first.height, first.width)
-    return VideoInfo(
+    info = VideoInfo(
         codec=codec,
         container=container_name,
         width_px=width,
@@ -63,6 +71,7 @@ def probe(path: Path) -> VideoInfo:
         largest_gap_s=float(intervals_ns.max()) / 1e9,
         variable_rate=bool((np.abs(intervals_ns - usual_ns) > _RATE_TOLERANCE * usual_ns + tick_ns).any()),
     )
+    return info, times_ns
 
 
 def _first_frame(container: InputContainer, stream: VideoStream, path: Path) -> VideoFrame:

@@ -61,3 +61,41 @@ def overlap_s(spans: Mapping[str, Span]) -> float:
         min(a.last_ns, b.last_ns) - max(a.first_ns, b.first_ns) for i, a in enumerate(every) for b in every[i + 1 :]
     ]
     return max(0, *shared) / _NS_PER_S if shared else 0.0
+
+
+def nearest_times(times_ns: IntArray, targets_ns: IntArray, tolerance_ns: int) -> list[int | None]:
+    """For each target the nearest time, the earlier of two equally near; None where none is within the tolerance.
+
+    Args:
+        times_ns: (N,) ascending.
+        targets_ns: (M,).
+        tolerance_ns: largest distance.
+    """
+    if not len(times_ns):
+        return [None] * len(targets_ns)
+    after = np.clip(np.searchsorted(times_ns, targets_ns), 0, len(times_ns) - 1)
+    before = np.maximum(after - 1, 0)
+    earlier = targets_ns - times_ns[before] <= times_ns[after] - targets_ns
+    nearest = times_ns[np.where(earlier, before, after)]
+    near = np.abs(nearest - targets_ns) <= tolerance_ns
+    return [time if kept else None for time, kept in zip(nearest.tolist(), near.tolist(), strict=True)]
+
+
+def nearer_times(times_ns: IntArray, target_ns: int, found_ns: int | None, tolerance_ns: int) -> list[int]:
+    """The times that `nearest_times` would have preferred to what was found for a target.
+
+    Args:
+        times_ns: (N,) ascending.
+        target_ns: the target.
+        found_ns: one of the times; None: nothing was found within the tolerance.
+        tolerance_ns: largest distance.
+    """
+    reach = tolerance_ns if found_ns is None else abs(found_ns - target_ns)
+    within = times_ns[
+        np.searchsorted(times_ns, target_ns - reach) : np.searchsorted(times_ns, target_ns + reach, "right")
+    ]
+    return [
+        time
+        for time in within.tolist()
+        if found_ns is None or (abs(time - target_ns), time) < (abs(found_ns - target_ns), found_ns)
+    ]

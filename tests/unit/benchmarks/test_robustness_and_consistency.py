@@ -98,7 +98,7 @@ def test_labels_are_without_the_vehicles_that_another_part_keeps() -> None:
 
 
 def test_every_frame_has_its_own_time_of_exposure() -> None:
-    instants = [FrameSet(0, {"a": 0, "b": 7}), FrameSet(80, {"a": 81})]
+    instants = [FrameSet(0, {"a": 0, "b": 7}, {}), FrameSet(80, {"a": 81}, {})]
     assert exposure_times(instants) == {(0, "a"): 0, (0, "b"): 7, (80, "a"): 81}
 
 
@@ -182,7 +182,7 @@ def found_at(scene: Scene, off_m: float) -> list[Vehicles3D]:
 def test_vehicles_have_both_sides() -> None:
     scene = crossing(offset_ns=0)
     times = tuple(instant.time_ns for instant in scene.instants)
-    frames: Any = SimpleNamespace(frame_sets=[FrameSet(t, dict.fromkeys(scene.rig, t)) for t in times])
+    frames: Any = SimpleNamespace(frame_sets=[FrameSet(t, dict.fromkeys(scene.rig, t), {}) for t in times])
     labels = LabelTimeline([LabelledInstant(true, {}) for true in scene.truth])
     split = Split(times_ns={"train": (), "val": (), "test": times}, left_out_tracks=dict.fromkeys(SUBSETS, frozenset()))
     site = Site(1, None, None, {}, scene.rig, frames, scene.instants, [], split, labels)  # type: ignore[arg-type]

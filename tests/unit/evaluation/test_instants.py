@@ -13,7 +13,7 @@ from wibam_core.scene import FrameSet, LabelledInstant, Vehicles3D
 
 def frames(rate_hz: float, seconds: float = 20.0) -> list[FrameSet]:
     times = np.rint(np.arange(0, seconds, 1 / rate_hz) * 1e9).astype(np.int64).tolist()
-    return [FrameSet(time, {"a": time}) for time in times]
+    return [FrameSet(time, {"a": time}, {"a": time}) for time in times]
 
 
 def labelled(times_ns: list[int]) -> LabelTimeline:

@@ -88,12 +88,47 @@ def test_one_file_per_camera_and_a_repeated_frame_is_stored_once(tmp_path: Path)
         for i in range(10):
             writer.add("a", i * PERIOD_NS, (i // 5) * 5 * PERIOD_NS, picture(i // 5))
         writer.close()
-    assert sorted(path.name for path in tmp_path.iterdir()) == ["a.jpegs", "cameras.json", "index.parquet"]
+    assert sorted(path.name for path in tmp_path.iterdir()) == [
+        "a.jpegs",
+        "cameras.json",
+        "frames.parquet",
+        "instants.parquet",
+    ]
     _, one = cv2.imencode(".jpg", picture(0), [cv2.IMWRITE_JPEG_QUALITY, 90])
     assert (tmp_path / "a.jpegs").stat().st_size < 3 * len(one)
     store = FrameStore(tmp_path)
     assert np.array_equal(store.image("a", 4 * PERIOD_NS), store.image("a", 0))
     assert store.image("a", 5 * PERIOD_NS)[20, 20, 0] == 1
+
+
+def test_frames_are_kept_by_the_cameras_own_clock(tmp_path: Path) -> None:
+    with FrameStoreWriter(tmp_path, 95) as writer:
+        writer.add_frame("a", 500, picture(10))
+        writer.add_frame("a", 540, picture(90))
+        writer.add_to_instant(0, "a", 500, 3)
+        writer.add_damaged("a", [580, 620])
+        writer.add_damaged("b", [7])
+        writer.close()
+    store = FrameStore(tmp_path)
+    (instant,) = store.frame_sets
+    assert (dict(instant.frame_times_ns), dict(instant.local_times_ns)) == ({"a": 3}, {"a": 500})
+    assert np.array_equal(store.image("a", 0), store.image_at("a", 500))
+    assert store.image_at("a", 540)[20, 20, 0] == pytest.approx(90, abs=3)
+    assert (store.damaged("a"), store.damaged("b"), store.damaged("c")) == ({580, 620}, {7}, set())
+    for local_ns in (580, 600):
+        with pytest.raises(KeyError):
+            store.image_at("a", local_ns)
+
+
+def test_frames_are_copied_as_they_are(tmp_path: Path) -> None:
+    first = build(tmp_path / "first")
+    with FrameStoreWriter(tmp_path / "second", 30) as writer:
+        for i in (1, 3):
+            writer.add_jpeg("a", i * PERIOD_NS + 7, first.jpeg_at("a", i * PERIOD_NS + 7), first.size("a"))
+            writer.add_to_instant(i, "a", i * PERIOD_NS + 7, i)
+        writer.close()
+    second = FrameStore(tmp_path / "second")
+    assert np.array_equal(second.image("a", 3), first.image("a", 3 * PERIOD_NS))
 
 
 def test_sizes_default_to_those_of_the_recording(tmp_path: Path) -> None:
@@ -152,9 +187,12 @@ def test_unfinished_damaged_and_missing_stores_are_refused(tmp_path: Path) -> No
             FrameStore(folder)
     store = build(tmp_path / "frames")
     pack = tmp_path / "frames" / "a.jpegs"
-    pack.write_bytes(pack.read_bytes()[:-20])
-    with pytest.raises(InputError, match="damaged"):
-        store.image("a", 4 * PERIOD_NS)
+    whole = pack.read_bytes()
+    for content in (whole[:-20], whole[:-200] + bytes(100) + whole[-100:]):
+        pack.write_bytes(content)
+        with pytest.raises(InputError, match="damaged"):
+            FrameStore(tmp_path / "frames").image("a", 4 * PERIOD_NS)
+    assert store.has("a", 4 * PERIOD_NS)
 
 
 def test_a_camera_keeps_its_size_and_no_frames_is_a_store_too(tmp_path: Path) -> None:

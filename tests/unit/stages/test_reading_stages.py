@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 
 import numpy as np
 import pytest
+from av.video.frame import VideoFrame
 
 from tests.stage_folders import StageFolders
 from wibam_core.artifacts import catalogue
@@ -28,6 +29,7 @@ from wibam_core.scene import ClockMap
 from wibam_core.site import HomographyCalibration, Site, SiteCamera
 from wibam_core.stages import detect, frames, preflight
 from wibam_core.stages.base import StageContext
+from wibam_core.video import decode
 from wibam_core.video.encode import VideoWriter
 
 S = 10**9
@@ -113,6 +115,11 @@ def test_preflight_writes_what_the_recordings_are(three: Run) -> None:
     assert probed["b"].first_ns == pytest.approx(int(CLOCKS["b"].to_local_ns(0)), abs=6_000)
     assert summary["shortest_s"] == pytest.approx(2.5 + 0.04, abs=0.03)
     assert summary["warnings"] == []
+    times = three.read(catalogue.TIMESTAMPS)
+    assert {camera_id: len(of_camera) for camera_id, of_camera in times.items()} == {"a": 72, "b": 76, "c": 63}
+    assert {id_: (info.first_ns, info.last_ns) for id_, info in probed.items()} == {
+        camera_id: (of_camera[0], of_camera[-1]) for camera_id, of_camera in times.items()
+    }
     json.dumps(summary)
 
 
@@ -164,6 +171,24 @@ def test_frames_that_were_dropped_or_not_recorded_are_absent(three: Run) -> None
     assert without_a == {2_000_000_000}
     assert all("b" not in s.frame_times_ns for s in store.frame_sets if s.time_ns > 3_040_000_000)
     assert all("c" not in s.frame_times_ns for s in store.frame_sets if s.time_ns < 1_430_000_000)
+
+
+def test_a_damaged_frame_is_replaced_by_the_nearest_sound_one(three: Run, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Packets tell of all frames; which of them decode is only known afterwards."""
+    three.preflight(min_overlap_s=1)
+    gone = {three.read(catalogue.TIMESTAMPS)["b"][number] for number in (50, 51, 52)}  # b shows 2.0 to 2.08 s
+
+    def damaged(path: Path, threads: int) -> Iterator[tuple[int, VideoFrame]]:
+        return (frame for frame in sound(path, threads) if path.stem != "b" or frame[0] not in gone)
+
+    sound = decode._frames
+    monkeypatch.setattr(decode, "_frames", damaged)
+    summary, store = three.frames(CLOCKS, rate_hz=12.5)
+    shown = {s.time_ns: round(true_time_ns(store.image("b", s.time_ns)) / STEP_NS) for s in store.frame_sets
+             if "b" in s.frame_times_ns}  # fmt: skip
+    assert [shown[time_ns] for time_ns in (1_920_000_000, 2_000_000_000, 2_080_000_000)] == [48, 49, 53]
+    assert store.damaged("b") == {int(time) for time in gone}
+    assert summary["damaged"] == {"a": 0, "b": 3, "c": 0}
 
 
 def test_one_camera_alone_keeps_all_its_instants(three: Run) -> None:

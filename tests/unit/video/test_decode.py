@@ -9,7 +9,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from wibam_core.errors import UnreadableVideo
-from wibam_core.video.decode import DecodeCount, decode, frames_nearest
+from wibam_core.video.decode import OnePass, decode, frames_nearest
 from wibam_core.video.encode import VideoWriter
 
 FRAME_NS = 40_000_000
@@ -40,11 +40,9 @@ def recording(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, list[int]
 
 def test_frames_come_with_their_own_times(recording: tuple[Path, list[int]]) -> None:
     path, times = recording
-    count = DecodeCount()
-    frames = list(decode(path, count=count))
+    frames = list(decode(path))
     assert [number_of(image) for _, image in frames] == list(range(20))
     assert [time_ns for time_ns, _ in frames] == pytest.approx(times, abs=5_556)
-    assert (count.frames, count.damaged) == (20, 0)
 
 
 def test_several_threads_give_the_same_frames(recording: tuple[Path, list[int]]) -> None:
@@ -86,12 +84,25 @@ def test_descending_targets_are_refused(recording: tuple[Path, list[int]]) -> No
         list(frames_nearest(recording[0], [2 * 10**9, 10**9], tolerance_ns=FRAME_NS))
 
 
+def test_only_frames_that_count_are_found(recording: tuple[Path, list[int]]) -> None:
+    times = [time_ns for time_ns, _ in decode(recording[0])]
+    one_pass = OnePass(recording[0], among={times[2], times[5]})
+    found = [one_pass.nearest(times[number], 2 * FRAME_NS) for number in (1, 2, 3, 4, 9)]
+    assert [None if frame is None else number_of(frame.image_bgr) for frame in found] == [2, 2, 2, 5, None]
+
+
+def test_a_recording_is_opened_when_the_first_frame_is_asked_for(tmp_path: Path) -> None:
+    one_pass = OnePass(tmp_path / "missing.mp4")
+    with pytest.raises(UnreadableVideo, match="does not exist"):
+        one_pass.nearest(0, 0)
+
+
 def test_frames_are_shrunk_on_the_way(recording: tuple[Path, list[int]]) -> None:
     _, image = next(decode(recording[0], width_px=32))
     assert image.shape == (24, 32, 3)
 
 
-def test_damaged_frames_are_left_out_and_counted(tmp_path: Path) -> None:
+def test_damaged_frames_are_left_out(tmp_path: Path) -> None:
     rng = np.random.default_rng(3)
     noise = rng.integers(0, 255, (40, 48, 64, 3), dtype=np.uint8)
     path = tmp_path / "a.mp4"
@@ -103,9 +114,7 @@ def test_damaged_frames_are_left_out_and_counted(tmp_path: Path) -> None:
     at = data.index(b"mdat") + len(data) // 2
     data[at : at + 3000] = rng.integers(0, 255, 3000, dtype=np.uint8).tobytes()
     path.write_bytes(data)
-    count = DecodeCount()
-    times = [time_ns for time_ns, _ in decode(path, count=count)]
-    assert count.damaged > 0
+    times = [time_ns for time_ns, _ in decode(path)]
     assert 5 < len(times) < len(sound)
     assert (np.diff(times) > 0).all()
 

@@ -5,7 +5,15 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from wibam_core.video.sampling import Span, common_instants, multiples_within, overlap_s, period_ns
+from wibam_core.video.sampling import (
+    Span,
+    common_instants,
+    multiples_within,
+    nearer_times,
+    nearest_times,
+    overlap_s,
+    period_ns,
+)
 
 S = 10**9
 spans = st.tuples(st.integers(-20 * S, 20 * S), st.integers(0, 20 * S)).map(lambda pair: Span(pair[0], sum(pair)))
@@ -61,3 +69,26 @@ def test_clocks_may_be_years_apart() -> None:
     epoch = 1_700_000_000 * S
     far = {"a": Span(0, 2 * S), "b": Span(epoch, epoch + 2 * S), "c": Span(epoch + S, epoch + 3 * S)}
     assert common_instants(far, 2.0).tolist() == [epoch + S + i * S // 2 for i in range(3)]
+
+
+TIMES = st.lists(st.integers(0, 60), unique=True, max_size=12).map(sorted)
+
+
+@given(times=TIMES, damaged=st.sets(st.integers(0, 60)), target=st.integers(-10, 70), tolerance=st.integers(0, 20))
+def test_law_nearest_times_are_what_a_search_finds(
+    times: list[int], damaged: set[int], target: int, tolerance: int
+) -> None:
+    """And the frames that were tried before what was found are those that had to be damaged for that."""
+    sound = [time for time in times if time not in damaged]
+    by_preference = sorted(times, key=lambda time: (abs(time - target), time))
+    within = [time for time in by_preference if abs(time - target) <= tolerance]
+    expected = next((time for time in within if time in sound), None)
+    (found,) = nearest_times(np.array(sound, np.int64), np.array([target]), tolerance)
+    assert found == expected
+    tried = within if expected is None else within[: within.index(expected)]
+    assert sorted(tried) == nearer_times(np.array(times, np.int64), target, found, tolerance)
+
+
+def test_nearest_times_of_many_targets_are_those_of_each() -> None:
+    times, targets = np.array([0, 40, 80, 200]), np.array([-30, 20, 21, 79, 140, 141, 260])
+    assert nearest_times(times, targets, 60) == [0, 0, 40, 80, 80, 200, 200]
