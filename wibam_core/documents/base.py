@@ -11,7 +11,12 @@ class Document(BaseModel):
     """A frozen JSON document. A field that a newer version added is passed over; NaN and infinity are refused."""
 
     model_config = ConfigDict(
-        extra="ignore", frozen=True, allow_inf_nan=False, populate_by_name=True, use_attribute_docstrings=True
+        extra="ignore",
+        frozen=True,
+        allow_inf_nan=False,
+        populate_by_name=True,
+        use_attribute_docstrings=True,
+        defer_build=True,  # most processes use few of the documents
     )
 
 
