@@ -7,13 +7,13 @@ principal point is the image's centre (ibid., section 8.8).
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import least_squares
 
-from wibam_core.calibration.pnp import check_spread, mirrored_world
+from wibam_core.calibration.pnp import check_spread, mirrored_world, moved, near_origin
 from wibam_core.calibration.robust import find_inliers
 from wibam_core.errors import CalibrationError
 from wibam_core.geometry.camera import Camera
@@ -34,18 +34,15 @@ class GroundFit:
 
     Attributes:
         camera: with square pixels, centred principal point and no distortion.
-        H_image_ground: (3, 3) the plain linear homography, from (x, y, 1) in m to pixels; 8 free numbers where the
-            camera has 7, so it may fit a little better.
-        used: (N,) which points they rest on; the others contradict them.
+        used: (N,) which points it rests on; the others contradict it.
     """
 
     camera: Camera
-    H_image_ground: Array
     used: NDArray[np.bool_]
 
 
 def solve_ground_camera(ground: Array, pixels: Array, width_px: int, height_px: int) -> GroundFit:
-    """Camera from points on the ground.
+    """Camera from points on the ground, wherever its origin is.
 
     Args:
         ground: (N, 2) x, y in m at z = 0.
@@ -58,6 +55,8 @@ def solve_ground_camera(ground: Array, pixels: Array, width_px: int, height_px: 
             not follow (straight down).
     """
     check_spread(ground, pixels)
+    origin = near_origin(ground)
+    ground = ground - origin[:2]
 
     def from_points(index: NDArray[np.int64]) -> list[Array]:
         try:
@@ -70,7 +69,8 @@ def solve_ground_camera(ground: Array, pixels: Array, width_px: int, height_px: 
     )
     H = fit_homography(ground[used], pixels[used])
     start = camera_from_homography(H, ground[used].mean(axis=0), width_px, height_px)
-    return GroundFit(_polish(start, ground[used], pixels[used]), H, used)
+    local = _polish(start, ground[used], pixels[used])
+    return GroundFit(replace(local, T_world_cam=moved(local.T_world_cam, origin)), used)
 
 
 def fit_homography(source: Array, target: Array) -> Array:

@@ -5,7 +5,7 @@ SQPnP (Terzakis & Lourakis, ECCV 2020) for the start, Levenberg-Marquardt on the
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import cv2
 import numpy as np
@@ -42,7 +42,7 @@ class PoseFit:
 
 
 def solve_pose(world: Array, pixels: Array, K: Array, dist: Array) -> PoseFit:
-    """The pose of a camera with known intrinsics.
+    """The pose of a camera with known intrinsics, wherever the world's origin is.
 
     Args:
         world: (N, 3) surveyed points, m.
@@ -55,6 +55,8 @@ def solve_pose(world: Array, pixels: Array, K: Array, dist: Array) -> PoseFit:
     """
     check_spread(world, pixels)
     K, dist = np.array(K, dtype=np.float64), np.array(dist, dtype=np.float64)
+    origin = near_origin(world)
+    world = world - origin
     fit = _fit(world, pixels, K, dist)
     if fit is None:
         raise CalibrationError("no pose has all points in front of the camera", hint=_CHECK_HINT)
@@ -65,7 +67,7 @@ def solve_pose(world: Array, pixels: Array, K: Array, dist: Array) -> PoseFit:
             raise mirrored_world()
     if fit.T_world_cam.translation[2] <= 0:
         raise mirrored_world()
-    return fit
+    return replace(fit, T_world_cam=moved(fit.T_world_cam, origin))
 
 
 _CHECK_HINT = "Check that each pixel belongs to its world point, and that pixels are those of the recording's size."
@@ -77,6 +79,20 @@ def mirrored_world() -> CalibrationError:
         "the world axes look mirrored: the points fit a left-handed system, or a camera below the ground",
         hint="World axes must be right-handed with Z up: swap X and Y, or flip the sign of one of them.",
     )
+
+
+def near_origin(points: Array) -> Array:
+    """(3,) a place at z = 0 amid points (N, 2 or 3), to count their coordinates from while they are worked with.
+
+    Coordinates of a map grid are millions of metres, and their products would leave no digits for the metres between
+    the points. The place is the median, which one mistyped coordinate cannot carry away.
+    """
+    return np.append(np.median(points[:, :2], axis=0), 0.0)
+
+
+def moved(T_world_cam: SE3, origin: Array) -> SE3:
+    """A pose that was solved in coordinates counted from ``origin`` (3,), in the user's own."""
+    return SE3(T_world_cam.rotation, T_world_cam.translation + origin)
 
 
 def check_spread(world: Array, pixels: Array) -> None:

@@ -47,6 +47,7 @@ def calibrate(site: Site, config: CalibrateConfig) -> tuple[CameraRig, dict[str,
         except CalibrationError as error:
             details = {"camera": camera.id, **error.details}
             raise CalibrationError(f"camera {camera.id}: {error.message}", hint=error.hint, **details) from error
+        _check_finite(camera.id, residuals[camera.id])
         median = residuals[camera.id].median_px
         if median is not None and median > config.max_error_px:
             raise CalibrationError(
@@ -90,6 +91,27 @@ def solve_camera(camera: SiteCamera) -> Residuals:
         solved, used = ground.camera, ground.used
     check_view(solved)
     return Residuals.of(given.kind, solved, world, pixels, used)
+
+
+def _check_finite(camera_id: str, residuals: Residuals) -> None:
+    """Refuse a camera that rests on points it cannot see.
+
+    Raises:
+        CalibrationError: naming the first of them.
+    """
+    unseen = residuals.used & ~np.isfinite(residuals.error_px)
+    if unseen.any():
+        raise CalibrationError(
+            f"camera {camera_id}: {int(unseen.sum())} of {len(unseen)} points come out behind the camera, e.g. "
+            f"{_place(residuals.world[unseen][0])}",
+            hint="Check that each pixel belongs to its world point.",
+            camera=camera_id,
+        )
+
+
+def _place(point: Array) -> str:
+    """A point's coordinates (n,), to the centimetre."""
+    return f"({', '.join(f'{value:.2f}' for value in point)})"
 
 
 def _arrays(correspondences: tuple[Correspondence, ...]) -> tuple[Array, Array]:

@@ -75,6 +75,25 @@ def test_clicks_of_a_pixel_keep_the_camera_close():
         assert np.median(np.linalg.norm(again - exact, axis=1)) < 1.0
 
 
+@settings(max_examples=25)
+@given(
+    easting=st.floats(-1e6, 1e6),
+    northing=st.floats(-1e7, 1e7),
+    camera=cameras,
+    seed=st.integers(0, 1000),
+)
+def test_law_clicks_in_a_map_grid_give_the_camera_that_they_give_near_the_origin(easting, northing, camera, seed):
+    pixels, _ = camera.project(world_of(GROUND))
+    pixels += np.random.default_rng(seed).normal(0, 0.4, pixels.shape)
+    origin = np.array([easting, northing])
+    here = solve_ground_camera(GROUND, pixels, 640, 360)
+    there = solve_ground_camera(GROUND + origin, pixels, 640, 360)
+    assert (there.used == here.used).all()
+    np.testing.assert_allclose(there.camera.K, here.camera.K, rtol=1e-6)
+    np.testing.assert_allclose(there.camera.centre_m[:2] - origin, here.camera.centre_m[:2], atol=1e-4)
+    assert there.camera.centre_m[2] == pytest.approx(here.camera.centre_m[2], abs=1e-4)
+
+
 def test_wrong_clicks_are_left_out():
     camera = look_at((20.0, -12.0, 8.0), focal_px=600)
     pixels, _ = camera.project(world_of(GROUND))

@@ -38,6 +38,24 @@ def test_exact_points_give_the_exact_pose(azimuth, height, radius, points, dist)
     assert fit.used.all()
 
 
+@settings(max_examples=25)
+@given(
+    easting=st.floats(-1e6, 1e6),
+    northing=st.floats(-1e7, 1e7),
+    points=st.sampled_from([GROUND, RAISED]),
+    seed=st.integers(0, 1000),
+)
+def test_law_clicks_in_a_map_grid_give_the_pose_that_they_give_near_the_origin(easting, northing, points, seed):
+    camera = look_at((20.0, -12.0, 8.0))
+    pixels, _ = camera.project(points)
+    pixels += np.random.default_rng(seed).normal(0, 0.4, pixels.shape)
+    origin = np.array([easting, northing, 0.0])
+    here = solve_pose(points, pixels, camera.K, camera.dist)
+    there = solve_pose(points + origin, pixels, camera.K, camera.dist)
+    np.testing.assert_allclose(there.T_world_cam.translation - origin, here.T_world_cam.translation, atol=1e-4)
+    assert angle_deg(here.T_world_cam, there.T_world_cam) < 1e-3
+
+
 @pytest.mark.parametrize("points", [GROUND, RAISED])
 def test_one_wrong_click_is_found_and_left_out(points):
     camera = look_at((20.0, -12.0, 8.0))
