@@ -35,6 +35,7 @@ CONFLICT = ConflictRow(
     deceleration_mps2=4.0,
     duration_s=0.6,
     heading_difference_deg=90.0,
+    measures={"delta_speed_mps": 10.0, "stopping_share": 0.85},
 )
 METRICS = Metrics(
     options={"min_score": 0.25},

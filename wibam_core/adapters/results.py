@@ -115,7 +115,7 @@ def _result_file(artifact: Artifact[Any], name: str, facts: FileFacts, folder: P
 
 
 def conflicts_csv(document: Conflicts) -> Iterator[str]:
-    """Conflicts as CSV: pairs become two columns each, intervals ``_low`` and ``_high``."""
+    """Conflicts as CSV: pairs become two columns each, intervals ``_low`` and ``_high``, measures one by name."""
     rows = [_flat(conflict) for conflict in document.conflicts]
     buffer = io.StringIO()
     writer = csv.DictWriter(buffer, list(rows[0]) if rows else list(ConflictRow.model_fields))
@@ -134,6 +134,8 @@ def _flat(conflict: ConflictRow) -> Mapping[str, Any]:
         if isinstance(value, tuple):
             ends = ("low", "high") if "interval" in name else ("1", "2")
             row |= {f"{name}_{end}": item for end, item in zip(ends, value, strict=True)}
+        elif isinstance(value, dict):
+            row |= value
         else:
             row[name] = value
     return row

@@ -33,6 +33,8 @@ class ConflictRow(Document):
     duration_s: float
     """How long the time to collision stayed below the threshold."""
     heading_difference_deg: float
+    measures: dict[str, float | None]
+    """What else is measured of the two at that time, by name, in the unit that the name ends in, if any."""
 
 
 class Conflicts(Document):

@@ -12,6 +12,7 @@ from wibam_core.report.data import Dataset, ReportData, SubsetRow
 from wibam_core.report.pictures import MAX_CONFLICTS, Picture, Pictures
 from wibam_core.report.results import NETWORKS, ResultRow, compared, result_rows, z_tests
 from wibam_core.report.words import NONE, braking, interval, mean_sd, number, percent, signed
+from wibam_core.safety.measures import MEASURES
 
 _KINDS = {"matrices": "ready matrices", "pnp": "points, known lens", "homography": "ground points"}
 _FARTHEST_ZONE_M = 80.0
@@ -54,6 +55,7 @@ class Page:
     conflicts_text: str
     conflicts_caption: str
     most_braking: str
+    measures: tuple[tuple[str, str], ...]
     conflicts: tuple[tuple[str, ...], ...]
     conflicts_left_out: int
     sync_warnings: tuple[str, ...]
@@ -93,6 +95,7 @@ def build_page(data: ReportData, pictures: Pictures) -> Page:
         conflicts_text=_conflicts_text(data),
         conflicts_caption=_conflicts_caption(data),
         most_braking=braking(math.inf),
+        measures=tuple((measure.title, measure.meaning) for measure in MEASURES),
         conflicts=tuple(
             conflict_cells(number, row) for number, row in enumerate(data.conflicts[:MAX_CONFLICTS], start=1)
         ),
@@ -225,6 +228,7 @@ def conflict_cells(place: int, row: ConflictRow) -> tuple[str, ...]:
         interval(row.pet_s, row.pet_interval_s),
         f"{3.6 * row.speeds_mps[0]:.0f} – {3.6 * row.speeds_mps[1]:.0f}",
         braking(None if row.ttc_s is None else row.deceleration_mps2),
+        *(number(row.measures.get(measure.name), measure.digits) for measure in MEASURES),
     )
 
 

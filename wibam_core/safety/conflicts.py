@@ -14,7 +14,7 @@ their speed, are left out as a whole: they are one vehicle tracked twice, or non
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from enum import StrEnum
 
@@ -28,6 +28,8 @@ from wibam_core.geometry.se3 import normalise_angle
 from wibam_core.progress import Progress, silent
 from wibam_core.road_users import RoadUserClass
 from wibam_core.safety.drac import deceleration_to_avoid
+from wibam_core.safety.encounter import Encounter
+from wibam_core.safety.measures import measured
 from wibam_core.safety.pairs import PairInstants, pair_instants
 from wibam_core.safety.pet import Encroachment, post_encroachment
 from wibam_core.safety.ttc import time_to_collision
@@ -62,6 +64,7 @@ class Conflict:
         deceleration_mps2: braking that would just have avoided the collision at ``time_ns``.
         duration_s: how long the time to collision stayed below its threshold.
         heading_difference_rad: in [0, π].
+        measures: what else is measured of the two at ``time_ns``, by name.
     """
 
     track_ids: tuple[int, int]
@@ -79,6 +82,7 @@ class Conflict:
     deceleration_mps2: float
     duration_s: float
     heading_difference_rad: float
+    measures: Mapping[str, float]
 
 
 def find_conflicts(
@@ -143,6 +147,7 @@ def _conflict(
         deceleration_mps2=float(deceleration_to_avoid(ttc, velocities[0], velocities[1])),
         duration_s=duration_s,
         heading_difference_rad=difference,
+        measures=measured(Encounter(boxes, velocities, ttc)),
     )
 
 
@@ -209,7 +214,9 @@ def _by_encroachment(a: Track, b: Track, encroachment: Encroachment, config: Saf
     times = (encroachment.leaves_ns, encroachment.arrives_ns)
     at_a, at_b = times if encroachment.first_index == 0 else times[::-1]
     i, j = _nearest(a, at_a), _nearest(b, at_b)
-    kind, difference = classify(np.stack([a.boxes[i], b.boxes[j]]), math.radians(config.same_direction_deg))
+    boxes = np.stack([a.boxes[i], b.boxes[j]])
+    velocities = np.stack([a.velocities_mps[i], b.velocities_mps[j]])
+    kind, difference = classify(boxes, math.radians(config.same_direction_deg))
     return Conflict(
         track_ids=(a.track_id, b.track_id),
         classes=(a.vehicle_class, b.vehicle_class),
@@ -217,7 +224,7 @@ def _by_encroachment(a: Track, b: Track, encroachment: Encroachment, config: Saf
         time_ns=encroachment.arrives_ns,
         x_m=encroachment.x_m,
         y_m=encroachment.y_m,
-        speeds_mps=_speeds(np.stack([a.velocities_mps[i], b.velocities_mps[j]])),
+        speeds_mps=_speeds(velocities),
         ttc_s=np.inf,
         ttc=Interval(np.inf, np.inf),
         probability=np.nan,
@@ -226,6 +233,7 @@ def _by_encroachment(a: Track, b: Track, encroachment: Encroachment, config: Saf
         deceleration_mps2=0.0,
         duration_s=0.0,
         heading_difference_rad=difference,
+        measures=measured(Encounter(boxes, velocities, np.inf)),
     )
 
 

@@ -37,6 +37,7 @@ def _row(number: int, conflict: Conflict) -> ConflictRow:
         deceleration_mps2=conflict.deceleration_mps2,
         duration_s=conflict.duration_s,
         heading_difference_deg=math.degrees(conflict.heading_difference_rad),
+        measures={name: finite(value) for name, value in conflict.measures.items()},
     )
 
 

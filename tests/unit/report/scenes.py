@@ -251,6 +251,7 @@ def conflicts_json() -> dict[str, Any]:
                 "deceleration_mps2": 3.4,
                 "duration_s": 0.8,
                 "heading_difference_deg": 90.0,
+                "measures": {"delta_speed_mps": 10.6, "stopping_share": None},
             }
         ],
     }
