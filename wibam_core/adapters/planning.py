@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 from wibam_core.config import PipelineConfig
-from wibam_core.errors import InputError, MissingCamera
+from wibam_core.errors import MissingCamera
 from wibam_core.jobs.records import Purpose, StoredFile
 from wibam_core.site import Site
 from wibam_core.stages.graph import InputDigests, PlannedStage, plan
@@ -27,11 +27,6 @@ def plan_stages(site: Site, options: Mapping[str, Any], files: Sequence[StoredFi
     missing = [camera for camera in site.camera_ids if camera not in recordings]
     if missing:
         raise MissingCamera(f"there is no recording of {_names(missing)}", cameras=missing)
-    if config.detect.detector == "custom" and Purpose.DETECTOR.value not in assets:
-        raise InputError(
-            "option detect.detector is 'custom', but the site has no detector",
-            hint="Upload an ONNX file for the purpose 'detector', or leave the option out.",
-        )
     return plan(site, config, InputDigests({c: recordings[c] for c in site.camera_ids}, assets))
 
 

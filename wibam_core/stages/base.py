@@ -25,7 +25,7 @@ class StageContext:
     Attributes:
         site: what the user said.
         recordings: camera id -> uploaded file.
-        assets: other uploaded files: "labels", "detector", "network".
+        assets: other uploaded files that the options use, by their names in `wibam_core.stages.assets`.
         inputs: what the stages before have made; see `read`.
         outputs: what this stage makes, published as a whole once it returns; see `write`.
         scratch: survives a killed attempt of this very stage (same hash): checkpoints to resume from.

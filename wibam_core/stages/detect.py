@@ -10,7 +10,7 @@ from wibam_core.artifacts.catalogue import DETECTION_STATISTICS, DETECTIONS, FRA
 from wibam_core.config import DetectConfig
 from wibam_core.detection.detector import BUNDLED, Detector, load_detector
 from wibam_core.detection.statistics import detection_statistics
-from wibam_core.errors import InputError, NoVehicles
+from wibam_core.errors import NoVehicles
 from wibam_core.formats.framestore import FrameStore
 from wibam_core.progress import Progress, part
 from wibam_core.scene import AnnotatedInstant, Detections2D, FrameSet
@@ -25,8 +25,7 @@ def run(context: StageContext, config: DetectConfig) -> Summary:
     """Write `DETECTIONS`, 2D boxes at ``config.rate_hz`` without multi-view vehicles yet, and `DETECTION_STATISTICS`.
 
     Raises:
-        InputError: the options name a detector of one's own and there is none.
-        InvalidWeights: that detector cannot be used.
+        InvalidWeights: a detector of one's own cannot be used.
         NoVehicles: no frame of any camera shows a vehicle.
     """
     detector = _detector(context, config)
@@ -46,14 +45,7 @@ def run(context: StageContext, config: DetectConfig) -> Summary:
 
 
 def _detector(context: StageContext, config: DetectConfig) -> Detector:
-    path = BUNDLED
-    if config.detector == "custom":
-        if "detector" not in context.assets:
-            raise InputError(
-                "detect.detector is 'custom', but the site has no detector",
-                hint="Upload detector.onnx to the site, or set detect.detector to 'bundled'.",
-            )
-        path = context.assets["detector"]
+    path = context.assets["detector"] if config.detector == "custom" else BUNDLED
     return load_detector(path, min_score=config.min_score, nms_iou=config.nms_iou)
 
 

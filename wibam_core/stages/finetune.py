@@ -14,7 +14,6 @@ from wibam_core.networks.small.architecture import SmallNetwork
 from wibam_core.networks.small.export import export_small
 from wibam_core.networks.weights import bundled, load_centertrack, load_network, origin_of, save_network
 from wibam_core.stages.base import StageContext, Summary
-from wibam_core.stages.graph import require_network
 from wibam_core.training.calibration import sd_factors
 from wibam_core.training.dataset import SiteView, site_views
 from wibam_core.training.device import choose_device
@@ -27,7 +26,6 @@ def run(context: StageContext, config: FinetuneConfig) -> Summary:
     The weights say themselves how boxes are to be placed and by how much their standard deviations err: see `Usage`.
     """
     choose_device(config.device)  # before anything is read
-    require_network(config, context.assets)
     custom = config.network == "custom"
     start = context.assets["network"] if custom else bundled("mono_small.safetensors")
     network = load_centertrack(start) if custom else load_network(start)

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import hashlib
 import json
-from collections.abc import Callable, Container, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from types import MappingProxyType
 from typing import Any
@@ -18,9 +18,10 @@ from typing import Any
 from wibam_core.artifacts import catalogue
 from wibam_core.artifacts.artifact import Artifact
 from wibam_core.artifacts.catalogue import made_by
-from wibam_core.config import FinetuneConfig, PipelineConfig, StageConfig
-from wibam_core.errors import InputError, UnknownOption
+from wibam_core.config import PipelineConfig, StageConfig
+from wibam_core.errors import UnknownOption
 from wibam_core.site import Site
+from wibam_core.stages.assets import ASSETS, require_assets
 from wibam_core.stages.code import code_digest
 
 
@@ -54,7 +55,7 @@ class StageSpec:
         reads: the artifacts of other stages that it reads; the edges of the graph follow from them.
         site_part: what of the site description it depends on.
         reads_recordings: whether it opens the uploaded videos.
-        assets: other uploaded files that it reads where there are any, and options do not say otherwise.
+        assets: other uploaded files (`wibam_core.stages.assets`) that it reads where the options use them.
         asset_checks: modules of wibam_core that it only checks assets with: both can make it fail, but change nothing
             that it writes.
     """
@@ -89,8 +90,8 @@ class StageSpec:
         return part
 
     def assets_read(self, config: PipelineConfig) -> tuple[str, ...]:
-        """Which of its ``assets`` it reads with these options: a site's own network only where they ask for it."""
-        return tuple(name for name in self.assets if name != "network" or config.finetune.network == "custom")
+        """Which of its ``assets`` it reads with these options. What they don't use changes no address."""
+        return tuple(name for name in self.assets if ASSETS[name].is_used(config))
 
 
 _SPECS = (
@@ -190,9 +191,9 @@ def plan(site: Site, config: PipelineConfig, inputs: InputDigests) -> tuple[Plan
     address of what is given, and rests on nothing.
 
     Raises:
-        InputError: the options ask for a network that was not given.
+        InputError: the options ask for a file that was not given.
     """
-    require_network(config.finetune, inputs.assets)
+    require_assets(config, inputs.assets)
     planned: list[PlannedStage] = []
     contents: dict[str, str] = {}
     for spec in STAGES.values():
@@ -215,19 +216,6 @@ def plan(site: Site, config: PipelineConfig, inputs: InputDigests) -> tuple[Plan
             facts |= {"code": code_digest(spec.name, spec.asset_checks, spec.layouts), "assets": {}}
         contents[spec.name] = _hash_of(facts)
     return tuple(planned)
-
-
-def require_network(config: FinetuneConfig, assets: Container[str]) -> None:
-    """Refuse options that ask for a network of the site's own where there is none.
-
-    Raises:
-        InputError: it is not among the ``assets``.
-    """
-    if config.network == "custom" and "network" not in assets:
-        raise InputError(
-            "option finetune.network is 'custom', but the site has no network",
-            hint="Give the site a network.safetensors, as `wibam weights convert` writes it, or leave the option out.",
-        )
 
 
 def _hash_of(facts: Mapping[str, Any]) -> str:

@@ -15,18 +15,12 @@ from wibam_core.config import PipelineConfig
 from wibam_core.errors import MissingCamera, SiteFileError, WibamError
 from wibam_core.progress import Progress
 from wibam_core.site import Site
+from wibam_core.stages.assets import ASSETS
 from wibam_core.stages.base import Summary
 from wibam_core.stages.execute import StageRequest, run_stage
 from wibam_core.stages.given import digest_of, given_stages
 from wibam_core.stages.graph import STAGES, InputDigests, PlannedStage, plan
 from wibam_core.stages.store import StageStore, sha256_of
-
-#: Names of the optional files of a site folder.
-ASSET_FILES: Mapping[str, tuple[str, ...]] = {
-    "labels": ("labels.parquet", "labels.json"),
-    "detector": ("detector.onnx",),
-    "network": ("network.safetensors",),
-}
 
 
 @dataclass(frozen=True)
@@ -67,9 +61,9 @@ class SiteFolder:
                 )
             recordings[camera_id] = found[0]
         assets = {
-            name: folder / file
-            for name, files in ASSET_FILES.items()
-            for file in reversed(files)
+            asset.name: folder / file
+            for asset in ASSETS.values()
+            for file in reversed(asset.files)
             if (folder / file).is_file()
         }
         return cls(site, recordings, assets, given)

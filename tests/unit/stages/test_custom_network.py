@@ -14,7 +14,7 @@ from tests.site_dataset import give_tiny_site, tiny_rig
 from tests.stage_folders import StageFolders
 from wibam_core.artifacts import catalogue
 from wibam_core.config import EvaluateConfig, FinetuneConfig, PipelineConfig, PreflightConfig, TrackConfig
-from wibam_core.errors import InputError, InvalidOption, InvalidWeights, UnreadableVideo
+from wibam_core.errors import InvalidOption, InvalidWeights, UnreadableVideo
 from wibam_core.models.frames import Frame
 from wibam_core.networks.dla34 import train as dla34
 from wibam_core.networks.dla34.architecture import DLA34
@@ -22,7 +22,6 @@ from wibam_core.networks.small.architecture import SmallNetwork
 from wibam_core.networks.weights import centertrack_metadata, load_centertrack, save_network, usage_of
 from wibam_core.scene import Vehicles3D
 from wibam_core.stages import evaluate, finetune, preflight, track
-from wibam_core.stages.graph import InputDigests, plan
 from wibam_core.stages.runner import SiteFolder, StageUpdate, run_pipeline
 from wibam_core.stages.store import StageStore
 
@@ -91,7 +90,6 @@ def test_what_cannot_be_used_is_refused_before_anything_is_read(tmp_path: Path, 
         with pytest.raises(error, match=said):
             finetune.run(nothing.context("finetune", site_of(tiny_rig()), assets=assets), config)
 
-    refused(InputError, "the site has no network")
     save_network(SmallNetwork(), tmp_path / "small")
     refused(InvalidWeights, "family is 'wibam-small', not 'centertrack-dla34'", network=tmp_path / "small")
     changed: dict[str, Any] = load_file(str(weights))
@@ -100,24 +98,6 @@ def test_what_cannot_be_used_is_refused_before_anything_is_read(tmp_path: Path, 
     refused(InvalidWeights, r"tensor dep.2.bias has shape \(2,\), not \(1,\)", network=tmp_path / "changed")
     if not torch.cuda.is_available():
         refused(InvalidOption, "no CUDA device", FinetuneConfig(device="cuda"))
-
-
-def test_a_job_is_planned_with_it_alone_where_it_is_there(weights: Path) -> None:
-    config = PipelineConfig.parse({"finetune": {"network": "custom"}})
-    recordings = dict.fromkeys(site_of().camera_ids, "a")
-    with pytest.raises(InputError, match="the site has no network"):
-        plan(site_of(), config, InputDigests(recordings, {}))
-    first, second = (plan(site_of(), config, InputDigests(recordings, {"network": digest})) for digest in "bc")
-    changed = {a.name for a, b in zip(first, second, strict=True) if a.hash != b.hash}
-    assert changed == {"preflight", "finetune", "evaluate", "track", "safety", "report"}
-
-
-def test_it_changes_nothing_where_the_options_do_not_ask_for_it() -> None:
-    recordings = dict.fromkeys(site_of().camera_ids, "a")
-    with_it, without = (
-        plan(site_of(), PipelineConfig(), InputDigests(recordings, assets)) for assets in ({"network": "b"}, {})
-    )
-    assert with_it == without
 
 
 def test_one_that_cannot_be_used_is_refused_by_the_first_stage(tmp_path: Path) -> None:

@@ -349,12 +349,6 @@ def test_no_vehicle_at_all_is_an_error(tmp_path: Path, monkeypatch: pytest.Monke
         detect.run(run.of("detect"), DetectConfig())
 
 
-def test_detector_of_ones_own_must_be_there(tmp_path: Path) -> None:
-    run = stored(tmp_path, spots=True)
-    with pytest.raises(InputError, match="the site has no detector"):
-        detect.run(run.of("detect"), DetectConfig(detector="custom"))
-
-
 @pytest.mark.assets
 def test_custom_detector_runs_on_real_footage(assets: Path, tmp_path: Path) -> None:
     run = Run(tmp_path, {"a": assets / "footage" / "traffic.mp4"})
