@@ -17,7 +17,7 @@ from wibam_core.site import Site
 from wibam_core.stages.graph import STAGES
 
 ROOT = Path(__file__).resolve().parents[2]
-DOCUMENTS = sorted([*ROOT.glob("*.md"), *(ROOT / "docs").glob("*.md")])
+DOCUMENTS = sorted([*ROOT.glob("*.md"), *(ROOT / "docs").rglob("*.md")])
 
 
 def fenced(document: Path, language: str) -> list[str]:
