@@ -1,1 +1,1 @@
-"""Every import and export format, and every legacy convention."""
+"""Files that this project writes and reads back itself; formats of others are in `wibam_core.exchange`."""

@@ -1,1 +1,1 @@
-"""Rigid transforms, cameras, the ground, boxes, overlaps and reprojection."""
+"""Rigid transforms, cameras, the ground, boxes, pixels, overlaps, reprojection, and the steps of fits to them."""

@@ -35,7 +35,6 @@ from wibam_core.report.data import (
     Recording,
     ReportData,
     StageRow,
-    SubsetRow,
     Synchronisation,
     Training,
 )
@@ -177,10 +176,7 @@ def _dataset(inputs: ArtifactReader) -> Dataset:
         detected_boxes=inputs.read(catalogue.DETECTION_STATISTICS).boxes,
         unassociated_share=associated.unassociated_share,
         single_view=associated.single_view,
-        subsets=tuple(
-            SubsetRow(name, part.instants, part.seconds, part.vehicles, part.boxes, part.tracks, part.left_out_tracks)
-            for name, part in ((name, statistics.subsets[name]) for name in SUBSETS)
-        ),
+        subsets={name: statistics.subsets[name] for name in SUBSETS},
         plots=(
             Bars("vehicles by number of views", statistics.by_views),
             Bars("vehicles by class", statistics.by_class),

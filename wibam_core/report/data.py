@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from wibam_core.documents.conflicts import ConflictRow
 from wibam_core.documents.metrics import Metrics
+from wibam_core.documents.statistics import SubsetStatistics
 from wibam_core.geometry.camera import Camera
 from wibam_core.report.bev import BoxesInstant, ClusteredInstant
 from wibam_core.report.charts import Bars, Curve, Delay, Histogram
@@ -83,32 +84,19 @@ class CalibrationRow:
 
 
 @dataclass(frozen=True)
-class SubsetRow:
-    """One part of the annotation set: multi-view vehicles are counted at every instant, tracks once."""
-
-    name: str
-    instants: int
-    seconds: float
-    vehicles: int
-    boxes: int
-    tracks: int
-    left_out_tracks: int
-
-
-@dataclass(frozen=True)
 class Dataset:
     """The automatic annotation set.
 
     Attributes:
         detected_boxes: 2D boxes at all instants. unassociated_share: of them, without a match in another view.
         single_view: vehicles that one camera alone saw.
-        plots: distributions over the instants of all subsets.
+        subsets: "train", "val" and "test", in this order. plots: distributions over the instants of all subsets.
     """
 
     detected_boxes: int
     unassociated_share: float
     single_view: int
-    subsets: tuple[SubsetRow, ...]
+    subsets: Mapping[str, SubsetStatistics]
     plots: tuple[Histogram | Bars, ...]
 
 

@@ -7,8 +7,9 @@ from dataclasses import dataclass
 
 from wibam_core.documents.conflicts import ConflictRow
 from wibam_core.documents.metrics import Metrics
+from wibam_core.documents.statistics import SubsetStatistics
 from wibam_core.report.advice import advice
-from wibam_core.report.data import Dataset, ReportData, SubsetRow
+from wibam_core.report.data import Dataset, ReportData
 from wibam_core.report.pictures import MAX_CONFLICTS, Picture, Pictures
 from wibam_core.report.results import NETWORKS, ResultRow, compared, result_rows, z_tests
 from wibam_core.report.words import NONE, braking, interval, mean_sd, number, percent, signed
@@ -105,7 +106,7 @@ def build_page(data: ReportData, pictures: Pictures) -> Page:
         zones=tuple(f"{low:g}–{high:g} m" for low, high in _zones(data)),
         calibration=_calibration(data),
         dataset_text=_dataset_text(data.dataset),
-        subsets=tuple(_subset(row) for row in data.dataset.subsets),
+        subsets=tuple(_subset(name, part) for name, part in data.dataset.subsets.items()),
         training_facts=data.training.facts,
         version=data.version,
         stages=tuple((row.title, row.hash[:16], number(row.seconds, 1)) for row in data.stages),
@@ -241,9 +242,9 @@ def _dataset_text(dataset: Dataset) -> str:
     )
 
 
-def _subset(row: SubsetRow) -> tuple[str, ...]:
-    numbers = (row.instants, row.vehicles, row.boxes, row.tracks, row.left_out_tracks)
-    return (row.name, f"{row.seconds:.0f}", *(str(value) for value in numbers))
+def _subset(name: str, part: SubsetStatistics) -> tuple[str, ...]:
+    numbers = (part.instants, part.vehicles, part.boxes, part.tracks, part.left_out_tracks)
+    return (name, f"{part.seconds:.0f}", *(str(value) for value in numbers))
 
 
 def _clocks(data: ReportData) -> tuple[tuple[str, ...], ...]:

@@ -11,6 +11,7 @@ import numpy as np
 from tests.builders import corner_rig
 from wibam_core.documents.conflicts import Conflicts
 from wibam_core.documents.metrics import Metrics
+from wibam_core.documents.statistics import SubsetStatistics
 from wibam_core.evaluation.reliability import reliability
 from wibam_core.geometry.box3d import corners
 from wibam_core.geometry.camera import Camera
@@ -25,7 +26,6 @@ from wibam_core.report.data import (
     Recording,
     ReportData,
     StageRow,
-    SubsetRow,
     Synchronisation,
     Training,
 )
@@ -290,11 +290,21 @@ def report_data(*, labels: bool = True, site_name: str = "Elm Street / 4th Avenu
             detected_boxes=12345,
             unassociated_share=0.17,
             single_view=210,
-            subsets=(
-                SubsetRow("train", 1125, 450.0, 4000, 11000, 320, 4),
-                SubsetRow("val", 225, 90.0, 800, 2100, 70, 2),
-                SubsetRow("test", 150, 60.0, 500, 1400, 44, 0),
-            ),
+            subsets={
+                name: SubsetStatistics(
+                    instants=instants,
+                    seconds=seconds,
+                    vehicles=vehicles,
+                    boxes=boxes,
+                    tracks=tracks,
+                    left_out_tracks=left,
+                )
+                for name, instants, seconds, vehicles, boxes, tracks, left in (
+                    ("train", 1125, 450.0, 4000, 11000, 320, 4),
+                    ("val", 225, 90.0, 800, 2100, 70, 2),
+                    ("test", 150, 60.0, 500, 1400, 44, 0),
+                )
+            },
             plots=(
                 Bars("vehicles by number of views", {"2": 3133, "3": 368, "4": 1074}),
                 Bars("vehicles by class", {"car": 3000, "van": 800, "truck": 400, "bus": 120}),
