@@ -10,6 +10,7 @@ from pathlib import Path
 
 import pytest
 
+from wibam_core.artifacts import catalogue
 from wibam_core.cli.app import COMMANDS
 from wibam_core.config import PipelineConfig
 from wibam_core.formats.labels import SCHEMA, read_labels
@@ -88,3 +89,38 @@ def test_the_command_line_answers() -> None:
     )
     assert done.returncode == 0, done.stderr
     assert "Fine-tune" in done.stdout
+
+
+def test_the_glossary_speaks_of_what_the_code_has_and_once_of_each() -> None:
+    text = (ROOT / "docs" / "glossary.md").read_text()
+    code = "\n".join(path.read_text() for path in sorted((ROOT / "wibam_core").rglob("*.py")))
+    named = re.findall(r"`([A-Za-z_0-9]+)`", text)
+    assert named
+    assert [name for name in named if not re.search(rf"\b{name}\b", code)] == []
+    terms = [term.lower() for term in re.findall(r"\*\*`?(.+?)`?\*\*", text)]
+    assert sorted({term for term in terms if terms.count(term) > 1}) == []
+    said = "\n".join(path.read_text() for path in DOCUMENTS if path.name != "glossary.md").lower() + code.lower()
+    # a word of several parts may be written with a hyphen or a line's end between them
+    unused = [
+        term for term in terms if not re.search(r"[\s\-_#]+".join(map(re.escape, re.split(r"[\s-]+", term))), said)
+    ]
+    assert unused == [], "the glossary explains words that nobody uses"
+
+
+def test_the_flow_of_a_frame_names_every_stage_and_the_artifacts_between() -> None:
+    frame = fenced(ROOT / "docs" / "flow.md", "")[0]
+    assert set(re.findall(r"\[ ?(\w+) ?\]", frame)) == set(STAGES) - {"report"}
+    named = {name for name in re.findall(r"\b[A-Z][A-Z_]{2,}\b", frame) if name != "JPEG"}
+    assert named <= {name for name in vars(catalogue) if name.isupper()}
+    assert named >= {"FRAMES", "DETECTIONS", "ANNOTATIONS", "FITS", "WEIGHTS", "TRACKS", "CONFLICTS", "METRICS"}
+
+
+def test_the_layout_is_that_of_the_package() -> None:
+    layout = fenced(ROOT / "docs" / "architecture.md", "")[0]
+    inside = "".join(re.findall(r"^  .*$", layout, re.MULTILINE))
+    packages = {path.parent.name for path in (ROOT / "wibam_core").glob("*/__init__.py")}
+    modules = {
+        path.name for path in (ROOT / "wibam_core").glob("*.py") if path.name not in ("__init__.py", "placing.py")
+    }
+    assert set(re.findall(r"\b([a-z]+)/(?= )", inside)) - {"wibam_core"} == packages
+    assert set(re.findall(r"\b[a-z_]+\.py\b", inside)) == modules
