@@ -9,7 +9,7 @@ from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from wibam_core.stages.code import code_digest
+from wibam_core.stages.graph import STAGES
 
 #: Metrics and figures of one run; ``row["run"]`` says which, and ``row["code"]`` by which version of the code: a row
 #: in which both are equal is not computed again. Old rows do not say which code made them.
@@ -22,7 +22,7 @@ _STAGES = ("detect", "lift", "finetune", "evaluate")
 
 def code_version() -> str:
     """A short hash of the code that makes the figures."""
-    joined = " ".join(code_digest(stage) for stage in _STAGES)
+    joined = " ".join(STAGES[stage].code() for stage in _STAGES)
     return hashlib.sha256(joined.encode()).hexdigest()[:10]
 
 

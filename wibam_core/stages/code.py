@@ -46,7 +46,7 @@ CARRYING = frozenset({"onnx", "pyarrow", "pydantic", "pydantic_core", "pyproj", 
 
 
 @cache
-def code_digest(stage: str, without: frozenset[str] = frozenset(), layouts: frozenset[str] = frozenset()) -> str:
+def code_digest(stage: str, without: frozenset[str], layouts: frozenset[str]) -> str:
     """SHA-256 (hex) of the code, bundled data and libraries that a stage's outputs depend on.
 
     Files are read once a process: what changes on the disk of a running service changes nothing in it either.

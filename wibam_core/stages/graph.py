@@ -78,10 +78,13 @@ class StageSpec:
         """The artifacts that it makes."""
         return made_by(self.name)
 
-    @property
-    def layouts(self) -> frozenset[str]:
-        """Modules that say how the artifacts look that it reads and writes."""
-        return frozenset(artifact.codec.layout for artifact in (*self.reads, *self.writes))
+    def code(self, *, checks: bool = True) -> str:
+        """Digest of the code that its outputs depend on, and with ``checks`` of that which only checks assets.
+
+        The modules that say how the artifacts look that it reads and writes are part of it.
+        """
+        layouts = frozenset(artifact.codec.layout for artifact in (*self.reads, *self.writes))
+        return code_digest(self.name, frozenset() if checks else self.asset_checks, layouts)
 
     def config(self, config: PipelineConfig) -> StageConfig:
         """This stage's part of the options."""
@@ -203,7 +206,7 @@ def plan(site: Site, config: PipelineConfig, inputs: InputDigests) -> tuple[Plan
             continue
         facts = {
             "stage": spec.name,
-            "code": code_digest(spec.name, layouts=spec.layouts),
+            "code": spec.code(),
             "writes": {artifact.name: artifact.version for artifact in spec.writes},
             "options": spec.config(config).model_dump(),
             "site": spec.site_part(site),
@@ -213,7 +216,7 @@ def plan(site: Site, config: PipelineConfig, inputs: InputDigests) -> tuple[Plan
         }
         planned.append(PlannedStage(spec.name, _hash_of(facts), spec.requires))
         if spec.asset_checks:
-            facts |= {"code": code_digest(spec.name, spec.asset_checks, spec.layouts), "assets": {}}
+            facts |= {"code": spec.code(checks=False), "assets": {}}
         contents[spec.name] = _hash_of(facts)
     return tuple(planned)
 
