@@ -15,10 +15,13 @@ _PLANE_HEIGHTS_M: FloatArray = np.array([c.traits.plane_height_m for c in CLASSE
 #: How far a ground point of a usual car near the camera lies off, m: perspective, taper and jitter together.
 POINT_SD_M = 0.5
 _PLACE_SCALES: FloatArray = np.array([c.traits.place_scale for c in CLASSES])
-# What a flat ray turns into metres along the ground: error of the row, and of the plane's height as a share of it.
+#: Two errors move a ground point along its ray, the farther the flatter that is. Standard deviation of the row that the
+#: ray goes through: this many px, and this share of the box's height, added in squares.
 _ROW_SD_PX = 1.0
 _ROW_SD_SHARE = 0.03
+#: Standard deviation of the height of the vehicle's middle, as a share of the plane's height.
 _HEIGHT_SD_SHARE = 0.2
+#: No ground point is taken to be less certain than this: rays near the horizon would reach across the whole site.
 _LARGEST_SD_M = 6.0
 
 

@@ -22,7 +22,9 @@ MIN_POINTS = 4
 _LINE = 0.01
 #: A mirrored world fits this many times better than the given one when its axes are left-handed.
 _MIRROR_GAIN = 4.0
+#: A world that fits better than this is not taken for mirrored.
 _MIRROR_MIN_PX = 5.0
+#: What a wrong point counts at most where fits are compared.
 _GROSS_PX = 50.0
 
 

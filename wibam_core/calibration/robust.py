@@ -13,9 +13,11 @@ Model = TypeVar("Model")
 
 #: Fewer points than this cannot outvote a wrong one.
 MIN_POINTS = 6
+#: Random subsets of points that are tried.
 _TRIALS = 200
 #: Clicks closer than this to the fit are never taken for wrong.
 _SMALLEST_PX = 3.0
+#: Clicks farther than this many robust standard deviations from the fit are wrong.
 _SIGMAS = 3.5
 
 

@@ -24,11 +24,12 @@ PLACE, LOG_SIZE = slice(X, LOG_LENGTH), slice(LOG_LENGTH, YAW)
 
 #: Residuals beyond this many standard deviations lose weight (Cauchy).
 ROBUST_SD = 1.5
-#: An edge is only guessed if its standard deviation is more than this share of the box's side; one so many of them off
-#: does not count against a fit.
+#: The detector only guessed an edge whose standard deviation is more than this share of the box's side. In the overlap
+#: by which a fit is judged, a guessed edge counts as met if it is off by at most this many standard deviations.
 _GUESSED_SHARE, _NEAR_SD = 0.08, 2.0
 #: A view with a body point nearer than this along the optical axis is not compared, m.
 _NEAREST_M = 0.5
+#: Problems times starts that are solved at once; more would need much memory and be no faster.
 _CHUNK = 4096
 
 

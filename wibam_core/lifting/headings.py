@@ -17,23 +17,26 @@ from wibam_core.lifting.trajectory import Motion, Tracks
 from wibam_core.road_users import CLASSES
 from wibam_core.scene import FloatArray, IntArray
 
-#: The way that a course is judged by is made within this many seconds before and after.
+#: How far a course (the direction of the velocity) is believed depends on the way that the vehicle makes in this many
+#: seconds before and after.
 _HALF_WINDOW_S = 1.5
-#: A track tells its heading if one of its courses is at least this certain, rad; worse ones than `_USELESS_SD_RAD` are
-#: not looked at.
+#: A track has a heading by motion if the standard deviation of one of its courses is at most this, rad.
 _KNOWN_SD_RAD = 0.35
+#: Courses with a larger standard deviation than this are not looked at, rad.
 _USELESS_SD_RAD = 1.2
 #: (classes,) in the order of `CLASSES`: see `wibam_core.traits.Driving`.
 _TURN_RAD_PER_M: FloatArray = np.array([c.traits.motion.turn_rad_per_m for c in CLASSES])
 _AXLE_M: FloatArray = np.array([c.traits.motion.axle_m for c in CLASSES])
 #: Variance of a heading before any course was seen, rad².
 _NOTHING_KNOWN = 1e6
+#: Courses that lie farther than this many standard deviations off the smoothed heading count less, in so many passes.
 _ROBUST_SD = 2.5
 _ROBUST_PASSES = 2
 #: Courses are never trusted to be better than this (rad): vehicles slip and drift in their lanes.
 _COURSE_FLOOR_RAD = 0.03
-#: A vehicle slower than this stands, as far as its heading is concerned; a heading that is held is less certain.
+#: A vehicle slower than this stands, as far as its heading is concerned, and keeps the heading that it had.
 _MOVING_MPS = 1.5
+#: Standard deviation that keeping a heading adds.
 _HELD_SD_RAD = 0.06
 
 

@@ -42,17 +42,21 @@ from wibam_core.progress import Progress, silent
 from wibam_core.road_users import BODIES, LOG_SIZE_MEAN, LOG_SIZE_SD
 from wibam_core.scene import AnnotatedInstant, CameraRig, FloatArray, IntArray, Vehicles3D
 
-#: Of a cluster of rays, and of a single ray, m.
+#: Standard deviation of the place of a vehicle whose rays form a cluster, and of one that has a single ray, m.
 _CLUSTER_SD_M, _RAY_SD_M = 0.7, 3.0
-#: By this much the places of clusters and of single fits jump where the cameras that see a vehicle change, m.
+#: Where the cameras that see a vehicle change, its place jumps without a motion: that of a cluster of rays by about
+#: this much, and that of a fit, m.
 _CLUSTER_JUMP_M, _FIT_JUMP_M = 0.8, 0.4
-#: Fits are never trusted to be better than this: m, and share of a size (a body differs from its template).
+#: The least standard deviations that a fit is believed to have: of its place in m, and of its size as a share, since no
+#: vehicle has quite the body of its class.
 _POSITION_FLOOR_M = 0.05
 _SIZE_FLOOR = 0.02
+#: A fit whose heading is not known from motion begins in this many directions; the best one is kept.
 _YAW_STARTS = 4
-#: Errors that all views of a vehicle share, or that last, leave no residual: edges are this much worse than it says.
+#: Errors that all views of a vehicle share, or that last, leave no residual: edges are this many times noisier than the
+#: residuals say.
 _HIDDEN_NOISE = 1.5
-#: Fits from which the detector's noise is estimated.
+#: Number of fits from which the detector's noise is estimated.
 _NOISE_SAMPLE = 400
 
 

@@ -9,7 +9,9 @@ from wibam_core.lifting.fit import Fit, FitProblem
 from wibam_core.lifting.observations import Observations
 from wibam_core.lifting.trajectory import Tracks
 
+#: Fewer edges than this tell nothing.
 _FEWEST_EDGES = 40
+#: Residuals are cut off at this many standard deviations before they are correlated, so that wrong boxes do not decide.
 _CLIP_SD = 3.0
 _MOST_PERSISTENT = 0.95
 
@@ -22,7 +24,7 @@ def noise_of(problem: FitProblem, fitted: Fit) -> float:
     compared = fitted.residuals.isfinite().flatten(1)
     count = compared.sum(dim=1).to(fitted.residuals.dtype)
     prior = torch.diag_embed(problem.prior_weight + 1e-4)
-    # so many of the edges' degrees of freedom the fit has used up: trace of (data + prior)⁻¹ data
+    # degrees of freedom that a fit takes from its edges, which makes residuals smaller: trace of (data + prior)⁻¹ data
     used = torch.linalg.solve(fitted.information + prior, fitted.information).diagonal(dim1=1, dim2=2).sum(dim=1)
     spare = 1.0 - used / count.clamp_min(1.0)
     enough = compared & (spare > 0.2)[:, None]

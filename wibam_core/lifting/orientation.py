@@ -11,11 +11,15 @@ from wibam_core.lifting.fit import PLACE, YAW
 from wibam_core.lifting.trajectory import Tracks
 from wibam_core.scene import FloatArray
 
-#: S.d. of a yaw whose front may as well be its rear.
+#: Standard deviation of a yaw whose front may as well be its rear.
 UNKNOWN_YAW_SD_RAD = np.pi / 2
-_FLOW_SD_RAD = 0.5
+#: Vehicles that pass within this distance of a standing one tell by their directions where its front is.
 _FLOW_RADIUS_M = 2.0
+#: They are believed if their votes for one end outnumber those for the other by more than this, with what doubt is
+#: left.
 _FLOW_VOTES = 3.0
+_FLOW_SD_RAD = 0.5
+#: The axis of a standing vehicle is never believed to be more certain than this.
 _AXIS_FLOOR_RAD = 0.03
 
 

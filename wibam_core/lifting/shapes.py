@@ -36,19 +36,23 @@ from wibam_core.scene import FloatArray, IntArray
 #: What a mode of 1 changes: the roof's length, its place along the vehicle (forwards), its width, how much narrower the
 #: ends and shorter the sides of the body are than its extent, and the height of the body's upper edge.
 MODES = ("roof_length", "roof_shift", "roof_width", "corner_cut", "waist_height")
-#: Standard deviation of each mode before looking, in lengths, widths or heights of the vehicle; of the classes' means,
-#: and as much again of one vehicle about the mean of its class.
+#: Standard deviation of each mode before looking, in lengths, widths or heights of the vehicle: that of a class's mean
+#: about its template, and also that of one vehicle about its class's mean.
 MODE_SD: FloatArray = np.array([0.06, 0.05, 0.06, 0.06, 0.06])
 MODE_SD.setflags(write=False)
 
-#: So many sightings of a track are looked at; they count as this many, since errors of one vehicle are alike.
+#: So many sightings of a track are looked at.
 _SIGHTINGS = 8
+#: They count as this many independent ones, since the errors of one vehicle are alike.
 _INDEPENDENT_SIGHTINGS = 4.0
+#: Vehicles are fitted to the bodies, and bodies to the vehicles, this many times in turn.
 _ROUNDS = 2
-#: A body is corrected if that explains at least this share more: what little is left may be the detector's own errors.
+#: A corrected body is kept if it lowers the cost of the fits by at least this share; less may be errors of the
+#: detector.
 _LEAST_GAIN = 0.02
 #: Derivatives by the modes are differences over this many of their standard deviations each way.
 _STEP_SD = 0.5
+#: Tracks whose modes lie farther than this many standard deviations from their class's count less.
 _ROBUST_TRACK_SD = 2.0
 _PASSES = 4
 

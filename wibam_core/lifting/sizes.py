@@ -11,11 +11,11 @@ from wibam_core.scene import FloatArray
 
 _ROBUST_SD = 2.0
 _PASSES = 4
-#: Errors of one vehicle's sightings are alike (the body differs from the template in each of them, and detectors err
-#: for seconds in the same way), so that more sightings than this add nothing.
+#: The errors of one vehicle's sightings are alike (its body differs from the template in each of them, and detectors
+#: err for seconds in the same way), so that all of them count as no more than this many independent ones.
 _INDEPENDENT_SIGHTINGS = 4.0
-#: Those within this distance of each other see the same sides of a vehicle, hidden by the same: the many of one that
-#: waits count as so many.
+#: Sightings within this distance of each other show the same sides of a vehicle, hidden by the same others: the many
+#: sightings of a waiting vehicle count as no more than this many at other places.
 _PLACE_M, _SIGHTINGS_OF_PLACE = 2.0, 3.0
 
 

@@ -12,8 +12,11 @@ import numpy as np
 
 from wibam_core.scene import FloatArray, IntArray
 
+#: Standard deviation of the acceleration, along each axis.
 _ACCELERATION_MPS2 = 1.8
+#: Standard deviation of the speed along each axis before a vehicle was seen twice.
 _FIRST_SPEED_SD_MPS = 12.0
+#: Places that lie farther than this many standard deviations off the smooth path count less.
 _ROBUST_SD = 2.5
 
 

@@ -30,9 +30,11 @@ _HUE_WEIGHTS: Array = np.array(
     ],
     dtype=np.float64,
 )
-#: Two warm lamps are told apart when they differ by this much of the region's length, or of the red–amber hue scale.
+#: The red and the amber lamp are told apart by place and hue together: a difference of this share of the region's
+#: length counts as 1, and so does this much on the scale of hues from red (0) to amber (1).
 _POSITION_SCALE = 0.33
 _HUE_SCALE = 0.6
+#: Profiles farther apart than this, so counted, are of two lamps.
 _CLUSTER_RADIUS = 0.7
 #: A profile whose part that no lamp explains exceeds this share of its energy says nothing (something else is in view).
 _MAX_UNEXPLAINED = 0.6

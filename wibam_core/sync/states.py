@@ -18,6 +18,7 @@ STATES = ("red", "amber", "green", "red_amber")
 _FLOOR = 0.15
 #: Frames closer than this share their evidence; a frame farther from the next counts at most twice this.
 _CORRELATION_S = 0.2
+#: What it costs, as a negative logarithm of a probability, to go on to the next state of the cycle, and to any other.
 _NORMAL_COST = 3.0
 _ODD_COST = 8.0
 _NORMAL = {("green", "amber"), ("amber", "red"), ("red", "green"), ("red", "red_amber"), ("red_amber", "green")}

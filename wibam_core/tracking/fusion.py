@@ -16,11 +16,12 @@ from wibam_core.scene import Vehicles3D
 Array = NDArray[np.float64]
 Indices = NDArray[np.int64]
 
-#: Of a usual car. Longer vehicles are less certain along their length.
+#: Length of a usual car. The place of a longer vehicle is less certain along its length.
 _REFERENCE_LENGTH_M = 4.5
-#: What errors that all views share (calibration, a bias of the network) leave at least.
+#: (7,) in the order of boxes, m and rad: the least standard deviations of a fused box, since averaging views does not
+#: remove the errors that they share (calibration, a bias of the network).
 SD_FLOOR = np.array([0.15, 0.15, 0.08, 0.2, 0.08, 0.08, 0.05])
-#: Where a detection's own standard deviation is unknown.
+#: (7,) in the order of boxes, m and rad: standard deviations of a detection that states none.
 SD_UNKNOWN = np.array([0.6, 0.6, 0.2, 0.5, 0.2, 0.2, 0.25])
 
 

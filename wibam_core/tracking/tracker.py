@@ -26,7 +26,7 @@ Array = NDArray[np.float64]
 _MAX_DISTANCE = 32.0
 #: A fused box that overlaps a track more than this and was not assigned to it is a second box of the same vehicle.
 _DUPLICATE_IOU = 0.1
-#: New vehicles may be this much faster than thought; their gate grows with it.
+#: A new vehicle's speed is not known, so that it may be sought far away: its standard deviation counts as this at most.
 _MAX_SPEED_SD = 10.0
 
 

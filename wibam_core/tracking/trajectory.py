@@ -22,8 +22,9 @@ Array = NDArray[np.float64]
 
 #: A vehicle that drove at least this far shows by its motion where its front is.
 _MIN_DRIVEN_M = 2.0
-#: A camera errs alike in one frame and the next, which the smoother takes for independent: its variances are too
-#: small by about this factor where half of the errors' variance persists (benchmarks/tracking.py).
+#: A camera errs in much the same way in one frame and the next, while the smoother takes errors for independent: where
+#: half of their variance persists, the smoother's variances are too small by about this factor
+#: (benchmarks/tracking.py).
 _CORRELATION = 3.0
 
 
