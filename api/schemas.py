@@ -10,6 +10,7 @@ from pydantic import BaseModel, ConfigDict, Field, JsonValue
 from wibam_core.adapters.results import ResultFile
 from wibam_core.config import PipelineConfig
 from wibam_core.documents.recordings import VideoInfo
+from wibam_core.documents.warnings import StageWarning
 from wibam_core.jobs.estimate import job_fraction, remaining_s
 from wibam_core.jobs.records import Event, Job, SiteRecord, StageRun, StoredFile
 from wibam_core.jobs.states import JobState, StageState
@@ -135,6 +136,7 @@ class StageOut(BaseModel):
     message: str
     figures: dict[str, float | None] = Field(description="the latest figures, e.g. a loss")
     summary: dict[str, JsonValue] | None = Field(description="what it says about its result")
+    warnings: list[StageWarning] = Field(description="what makes its result doubtful, and what to do about it")
     error: ErrorOut | None
     attempts: int
     hash: str
@@ -153,6 +155,7 @@ class StageOut(BaseModel):
             message=stage.message,
             figures=dict(stage.figures or {}),
             summary=None if stage.summary is None else dict(stage.summary),
+            warnings=list(stage.warnings),
             error=None if stage.error is None else ErrorOut.model_validate(stage.error),
             attempts=stage.attempts,
             hash=stage.hash,

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from wibam_core.documents.warnings import StageWarning
 from wibam_core.geometry.camera import Camera
 from wibam_core.geometry.se3 import SE3
 from wibam_core.scene import CameraRig
@@ -66,3 +67,12 @@ def site_of(rig: CameraRig | None = None, name: str = "crossing") -> Site:
             ],
         }
     )
+
+
+AMBIGUOUS = StageWarning(
+    stage="sync",
+    code="ambiguous_clock",
+    message="The clock of cam3 is ambiguous: 24 light changes also meet with an offset of +45.00 s",
+    hint="Compare a moving vehicle in two cameras, or record for longer.",
+    details={"camera": "cam3"},
+)

@@ -6,6 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
+from tests.builders import AMBIGUOUS
 from tests.service import LiveApi
 from wibam_core.adapters.job_rows import StageKey
 from wibam_core.artifacts import catalogue
@@ -94,8 +95,9 @@ def finished_job(api: LiveApi, recording: bytes = b"not looked at", *, onnx: boo
         assert claim is not None, stage.name
         attempt = store.begin(stage.name, stage.hash)
         _write(stage.name, attempt.output, onnx)
-        store.seal(attempt, {"stage": stage.name}, 0.1)
-        leases.succeed(claim, {"stage": stage.name}, lambda attempt=attempt: store.reveal(attempt))  # type: ignore[misc]
+        warnings = [AMBIGUOUS] if stage.name == "sync" else []
+        store.seal(attempt, {"stage": stage.name}, 0.1, warnings)
+        leases.succeed(claim, {"stage": stage.name}, lambda attempt=attempt: store.reveal(attempt), warnings)  # type: ignore[misc]
     return job_id
 
 

@@ -10,6 +10,7 @@ from wibam_core.artifacts.access import MANIFEST, ArtifactReader, ArtifactWriter
 from wibam_core.artifacts.artifact import Artifact
 from wibam_core.artifacts.catalogue import made_by
 from wibam_core.documents.manifest import Manifest
+from wibam_core.documents.warnings import StageWarning
 from wibam_core.progress import Progress, silent
 from wibam_core.site import Site
 from wibam_core.stages.base import StageContext
@@ -19,10 +20,11 @@ T = TypeVar("T")
 
 
 class StageFolders:
-    """One folder a stage, made when it is first asked for."""
+    """One folder a stage, made when it is first asked for; ``warnings`` are those of all stages that ran here."""
 
     def __init__(self, root: Path) -> None:
         self.root = root
+        self.warnings: list[StageWarning] = []
 
     def folder(self, stage: str) -> Path:
         folder = self.root / stage
@@ -62,6 +64,7 @@ class StageFolders:
         scratch = self.root / "scratch" / stage
         scratch.mkdir(parents=True, exist_ok=True)
         return StageContext(
+            stage,
             site,
             recordings or {},
             assets or {},
@@ -69,4 +72,5 @@ class StageFolders:
             ArtifactWriter(stage, self.folder(stage), spec.writes),
             scratch,
             progress,
+            self.warnings.append,
         )

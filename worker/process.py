@@ -18,6 +18,7 @@ from typing import IO, Any
 
 import wibam_core
 from wibam_core.adapters import confine
+from wibam_core.documents.warnings import StageWarning
 
 #: What a stage may inherit. Everything else, the database's URL and the token's hash first of all, stays behind.
 _INHERITED = ("PATH", "LANG", "LC_ALL", "TZ", "LD_LIBRARY_PATH", "OMP_NUM_THREADS", "MKL_NUM_THREADS", "VIRTUAL_ENV",
@@ -34,6 +35,13 @@ class Progress:
     fraction: float
     message: str
     figures: Mapping[str, float]
+
+
+@dataclass(frozen=True)
+class Warned:
+    """The stage warns of something."""
+
+    warning: StageWarning
 
 
 @dataclass(frozen=True)
@@ -57,7 +65,7 @@ class LogLine:
     text: str
 
 
-Message = Progress | Done | Failed | LogLine
+Message = Progress | Warned | Done | Failed | LogLine
 
 
 @dataclass
@@ -244,6 +252,8 @@ def _message(line: str) -> Message:
             case "progress":
                 figures = {str(k): float(v) for k, v in dict(data["figures"]).items()}
                 return Progress(float(data["fraction"]), str(data["message"]), figures)
+            case "warning":
+                return Warned(StageWarning.model_validate(data["warning"]))
             case "done":
                 return Done(dict(data["summary"]))
             case "failed":

@@ -7,6 +7,7 @@ import os
 import socket
 import time
 from collections.abc import Callable, Iterable
+from dataclasses import dataclass, field
 from pathlib import Path
 
 from sqlalchemy.exc import DBAPIError, OperationalError, SQLAlchemyError
@@ -19,6 +20,7 @@ from wibam_core.adapters.logs import JobLog
 from wibam_core.adapters.records import plain_json
 from wibam_core.adapters.settings import StageLimits
 from wibam_core.config import PipelineConfig
+from wibam_core.documents.warnings import StageWarning
 from wibam_core.errors import StageError, StageOutOfMemory, StageTimedOut, WibamError
 from wibam_core.jobs.leases import Claim, LeasePolicy
 from wibam_core.jobs.records import Job, StageRun
@@ -28,7 +30,7 @@ from wibam_core.stages.graph import STAGES
 from wibam_core.stages.store import Attempt, StageStore
 from worker.failures import crash, is_full, no_space, system_error
 from worker.keeper import LeaseKeeper
-from worker.process import Done, Failed, LogLine, Progress, StageProcess, system_oom_kills
+from worker.process import Done, Failed, LogLine, Progress, StageProcess, Warned, system_oom_kills
 
 _log = logging.getLogger(__name__)
 _POLL_S = 0.2
@@ -42,6 +44,22 @@ class _Unwanted(Exception):
 
 class _WorkerStops(Exception):
     """This worker is asked to end."""
+
+
+@dataclass(frozen=True)
+class _Account:
+    """What is said about a stage while it runs: lines in the job's log, and its warnings, which the job keeps."""
+
+    stage: str
+    log: JobLog
+    warnings: list[StageWarning] = field(default_factory=list)
+
+    def write(self, text: str) -> None:
+        self.log.write(self.stage, text)
+
+    def warn(self, warning: StageWarning) -> None:
+        self.warnings.append(warning)
+        self.write(f"warning: {warning.message}. {warning.hint}")
 
 
 class StageRunner:
@@ -104,29 +122,30 @@ class StageRunner:
             JobLog(self._folder.log(job.id)) as log,
             LeaseKeeper(self._leases, claim, self._policy) as keeper,
         ):
+            account = _Account(stage.name, log)
             try:
-                return self._make_or_find(claim, job, stage, keeper, log)
+                return self._make_or_find(claim, job, stage, keeper, account)
             except _Unwanted:
-                log.write(stage.name, "stopped: the job does not want it any more")
+                account.write("stopped: the job does not want it any more")
                 return self._leases.stopped(claim)
             except _WorkerStops:
-                log.write(stage.name, "given back: the worker was asked to end")
+                account.write("given back: the worker was asked to end")
                 return self._leases.release(claim)
             except WibamError as error:
-                return self._fail(claim, error, keeper, log)
+                return self._fail(claim, error, keeper, account)
             except OSError as error:
-                return self._fail(claim, system_error(stage.name, error), keeper, log)
+                return self._fail(claim, system_error(stage.name, error), keeper, account)
             except DBAPIError as error:
                 if not is_full(error):
                     raise
-                return self._fail(claim, no_space(stage.name), keeper, log)
+                return self._fail(claim, no_space(stage.name), keeper, account)
 
-    def _fail(self, claim: Claim, error: WibamError, keeper: LeaseKeeper, log: JobLog) -> list[StageKey]:
+    def _fail(self, claim: Claim, error: WibamError, keeper: LeaseKeeper, account: _Account) -> list[StageKey]:
         """Tell the job. Where the database is full, too, try for as long as the lease can be kept."""
-        log.write(claim.stage, f"failed: {error.message}")
+        account.write(f"failed: {error.message}")
         while True:
             try:
-                return self._leases.fail(claim, error)
+                return self._leases.fail(claim, error, account.warnings)
             except DBAPIError as full:
                 if not is_full(full):
                     raise
@@ -135,32 +154,34 @@ class StageRunner:
             time.sleep(_POLL_S)
 
     def _make_or_find(
-        self, claim: Claim, job: Job, stage: StageRun, keeper: LeaseKeeper, log: JobLog
+        self, claim: Claim, job: Job, stage: StageRun, keeper: LeaseKeeper, account: _Account
     ) -> list[StageKey]:
         if self._leases.make_way(claim, self._store.remove):
-            log.write(stage.name, "is made anew: its old outputs are removed")
+            account.write("is made anew: its old outputs are removed")
         if self._store.find(stage.name, stage.hash) is not None:
-            log.write(stage.name, f"reused: {stage.hash[:12]} is there already")
-            summary = self._store.manifest(stage.name, stage.hash).summary
-            return self._leases.succeed(claim, summary, lambda: None, reused=True)
+            account.write(f"reused: {stage.hash[:12]} is there already")
+            made = self._store.manifest(stage.name, stage.hash)
+            for warning in made.warnings:
+                account.warn(warning)
+            return self._leases.succeed(claim, made.summary, lambda: None, account.warnings, reused=True)
         attempt = self._store.begin(stage.name, stage.hash)
         try:
-            log.write(stage.name, f"started, attempt {claim.attempt}")
+            account.write(f"started, attempt {claim.attempt}")
             started = time.monotonic()
-            summary = plain_json(self._execute(claim, job, stage, attempt, keeper, log))
+            summary = plain_json(self._execute(claim, job, stage, attempt, keeper, account))
             seconds = time.monotonic() - started
-            self._store.seal(attempt, summary, seconds)
+            self._store.seal(attempt, summary, seconds, account.warnings)
             if keeper.lost:
                 raise LostLease(f"the lease of {claim} was lost at its end")
-            ready = self._leases.succeed(claim, summary, lambda: self._store.reveal(attempt))
+            ready = self._leases.succeed(claim, summary, lambda: self._store.reveal(attempt), account.warnings)
             self._store.drop_scratch(attempt)
-            log.write(stage.name, f"done in {seconds:.1f} s")
+            account.write(f"done in {seconds:.1f} s")
             return ready
         finally:
             self._store.discard(attempt)
 
     def _execute(
-        self, claim: Claim, job: Job, stage: StageRun, attempt: Attempt, keeper: LeaseKeeper, log: JobLog
+        self, claim: Claim, job: Job, stage: StageRun, attempt: Attempt, keeper: LeaseKeeper, account: _Account
     ) -> Summary:
         with self._store.temporary(attempt) as home:
             request = Path(home) / "request.json"
@@ -168,7 +189,7 @@ class StageRunner:
             oom_kills = system_oom_kills()
             process = StageProcess.start(request, home=Path(home), cache=self._folder.cache, nice=self._limits.nice)
             try:
-                outcome = self._listen(claim, process, keeper, log)
+                outcome = self._listen(claim, process, keeper, account)
             finally:
                 process.close()
             if isinstance(outcome, Done) and process.process.returncode == 0:
@@ -177,7 +198,9 @@ class StageRunner:
                 raise WibamError.from_dict(outcome.error)
             raise crash(stage.name, process, system_killed=system_oom_kills() > oom_kills)
 
-    def _listen(self, claim: Claim, process: StageProcess, keeper: LeaseKeeper, log: JobLog) -> Done | Failed | None:
+    def _listen(
+        self, claim: Claim, process: StageProcess, keeper: LeaseKeeper, account: _Account
+    ) -> Done | Failed | None:
         outcome: Done | Failed | None = None
         latest: Progress | None = None
         deadline = time.monotonic() + self._limits.seconds
@@ -187,9 +210,11 @@ class StageRunner:
             for message in process.poll(_POLL_S):
                 match message:
                     case LogLine(text):
-                        log.write(claim.stage, text)
+                        account.write(text)
                     case Progress():
                         latest = message
+                    case Warned(warning):
+                        account.warn(warning)
                     case Done() | Failed():
                         outcome = message
             now = time.monotonic()

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Mapping
-from typing import Any
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any, cast
 
 from sqlalchemy import select, update
 from sqlalchemy.exc import IntegrityError
@@ -15,6 +15,7 @@ from wibam_core.adapters.database import Database
 from wibam_core.adapters.job_rows import StageKey, add_event, job_files, move_job, move_stage, settle_job, thin_progress
 from wibam_core.adapters.models import JobRow, StageRow
 from wibam_core.adapters.naming import in_users_words
+from wibam_core.documents.warnings import StageWarning
 from wibam_core.errors import StageCrashed, WibamError
 from wibam_core.jobs.leases import Claim, Heartbeat, LeasePolicy
 from wibam_core.jobs.records import EventKind
@@ -145,7 +146,13 @@ class LeaseStore:
             )
 
     def succeed(
-        self, claim: Claim, summary: Mapping[str, Any], publish: Callable[[], object], *, reused: bool = False
+        self,
+        claim: Claim,
+        summary: Mapping[str, Any],
+        publish: Callable[[], object],
+        warnings: Sequence[StageWarning] = (),
+        *,
+        reused: bool = False,
     ) -> list[StageKey]:
         """The stage is done. ``publish`` makes its outputs visible, and is called only while the lease is held.
 
@@ -157,18 +164,21 @@ class LeaseStore:
             job, stage = _held_rows(session, claim)
             publish()
             stage.summary = records.plain_json(dict(summary))
+            stage.warnings = _in_users_words(session, job, warnings)
             stage.error = None
             stage.fraction = 1.0
-            return self._end(session, job, stage, state, summary=stage.summary)
+            return self._end(session, job, stage, state, summary=stage.summary, warnings=stage.warnings)
 
-    def fail(self, claim: Claim, error: WibamError) -> list[StageKey]:
-        """The stage failed. The error is kept in the user's words: see `wibam_core.adapters.naming`. Raises:
+    def fail(self, claim: Claim, error: WibamError, warnings: Sequence[StageWarning] = ()) -> list[StageKey]:
+        """The stage failed. The error, and what it warned of before, are kept in the user's words: see
+        `wibam_core.adapters.naming`. Raises:
         LostLease: the stage is no longer this worker's.
         """
         with self._database.writing() as session:
             job, stage = _held_rows(session, claim)
             stage.error = records.plain_json(in_users_words(error.to_dict(), job_files(session, job.id)))
-            return self._end(session, job, stage, StageState.FAILED, error=stage.error)
+            stage.warnings = _in_users_words(session, job, warnings)
+            return self._end(session, job, stage, StageState.FAILED, error=stage.error, warnings=stage.warnings)
 
     def stopped(self, claim: Claim) -> list[StageKey]:
         """The stage was stopped because its job does not want it any more. Raises:
@@ -249,6 +259,11 @@ class LeaseStore:
         )
         others = [StageKey(job_id, name) for job_id, name in session.execute(waiting_for_equal)]
         return own + settle_job(session, job, now) + others
+
+
+def _in_users_words(session: Session, job: JobRow, warnings: Sequence[StageWarning]) -> list[dict[str, Any]]:
+    found = [warning.model_dump(mode="json") for warning in warnings]
+    return cast(list[dict[str, Any]], records.plain_json(in_users_words(found, job_files(session, job.id))))
 
 
 def _held(claim: Claim) -> tuple[Any, ...]:

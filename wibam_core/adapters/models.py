@@ -18,7 +18,12 @@ _NAMING = {
 
 class Base(DeclarativeBase):
     metadata = MetaData(naming_convention=_NAMING)
-    type_annotation_map = {float: Float(53), dict[str, Any]: JSON, list[str]: JSON}  # noqa: RUF012  # SQLAlchemy's name
+    type_annotation_map = {  # noqa: RUF012  # SQLAlchemy's name
+        float: Float(53),
+        dict[str, Any]: JSON,
+        list[str]: JSON,
+        list[dict[str, Any]]: JSON,
+    }
 
 
 class DatabaseIdRow(Base):
@@ -141,6 +146,7 @@ class StageRow(Base):
     message: Mapped[str] = mapped_column(Text)
     figures: Mapped[dict[str, Any] | None]
     summary: Mapped[dict[str, Any] | None]
+    warnings: Mapped[list[dict[str, Any]] | None]
     error: Mapped[dict[str, Any] | None]
     started_at: Mapped[float | None]
     finished_at: Mapped[float | None]

@@ -1,4 +1,4 @@
-"""Errors in the user's own words: files by the names that the user gave them, and no path of the service's disk."""
+"""Errors and warnings in the user's own words: files by the names that the user gave them, no path of the service's."""
 
 from __future__ import annotations
 
@@ -13,10 +13,10 @@ _PATH = re.compile(r"(?<![\w:/.~-])/(?!v1/)(?:[^\s/'\"()<>|:,;]+/)+([^\s/'\"()<>
 
 
 def in_users_words(value: Any, files: Iterable[StoredFile]) -> Any:
-    """An error as JSON types, with all text in it rewritten.
+    """An error, or warnings, as JSON types, with all text in it rewritten.
 
     Args:
-        value: a `WibamError.to_dict`, or a part of one.
+        value: a `WibamError.to_dict`, `StageWarning`s as JSON types, or a part of them.
         files: those that the job works on; their ids become the names that the user gave them.
     """
     return _rewritten(value, {file.id: _shown(file) for file in files})

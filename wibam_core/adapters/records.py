@@ -8,6 +8,7 @@ from collections.abc import Iterable, Mapping
 from typing import Any
 
 from wibam_core.adapters.models import EventRow, FileRow, JobRow, SiteRow, StageRow, UploadRow
+from wibam_core.documents.warnings import StageWarning
 from wibam_core.jobs.records import Event, EventKind, Job, Purpose, SiteRecord, StageRun, StoredFile, Upload
 from wibam_core.jobs.states import JobState, StageState
 from wibam_core.site import Site
@@ -85,6 +86,7 @@ def stage_run(row: StageRow) -> StageRun:
         message=row.message,
         figures=row.figures,
         summary=row.summary,
+        warnings=tuple(StageWarning.model_validate(warning) for warning in row.warnings or ()),
         error=row.error,
         started_at=row.started_at,
         finished_at=row.finished_at,

@@ -66,7 +66,8 @@ def demo(
     print_tables(console, metrics, tracks, conflicts)
     paths = {artifact.name: out / artifact.file for artifact in RESULTS}
     spent |= {stage.name: stage.seconds or 0.0 for stage in job.stages}
-    result = summary(metrics, spent, len(tracks), len(conflicts.conflicts), paths)
+    warnings = [warning for stage in job.stages for warning in stage.warnings]
+    result = summary(metrics, spent, warnings, len(tracks), len(conflicts.conflicts), paths)
     (out / _SUMMARY).write_text(result.model_dump_json(indent=1), encoding="utf-8")
     for name, path in [*paths.items(), ("summary", out / _SUMMARY)]:
         console.print(f"{name:<8} {escape(str(path))}", highlight=False, soft_wrap=True)

@@ -8,10 +8,12 @@ from types import TracebackType
 from typing import Any
 
 from rich.console import Console
+from rich.markup import escape
 from rich.measure import Measurement
 from rich.progress import BarColumn, Progress, TaskID, TextColumn, TimeElapsedColumn
 from rich.table import Table
 
+from wibam_core.documents.warnings import StageWarning
 from wibam_core.stages.graph import STAGES
 
 _UNLIMITED = 10_000  # columns
@@ -43,6 +45,12 @@ def print_list(console: Console, table: Table) -> None:
     if width > console.width or not console.is_terminal:
         table.width = width
     console.print(table, crop=False, soft_wrap=False)
+
+
+def print_warning(console: Console, warning: StageWarning) -> None:
+    """Print what is doubtful, and what to do about it."""
+    console.print(f"[yellow]warning[/] {escape(warning.message)}", highlight=False)
+    console.print(f"        [dim]{escape(warning.hint)}[/]", highlight=False)
 
 
 @dataclass
@@ -90,8 +98,12 @@ class StageDisplay:
         message: str = "",
         figures: Mapping[str, Any] | None = None,
         seconds: float | None = None,
+        warnings: Sequence[StageWarning] = (),
     ) -> None:
-        """Show a stage's state ("pending", "running", "given", "succeeded", "reused", ...)."""
+        """Show a stage's state ("pending", "running", "given", "succeeded", "reused", ...).
+
+        Its warnings are printed above the lines, once, when it ends.
+        """
         line = self._lines[stage]
         if state == "running" and line.state != "running":
             self._progress.start_task(line.task)
@@ -108,4 +120,6 @@ class StageDisplay:
             if not self._console.is_terminal:
                 took = "" if seconds is None else f"{seconds:6.1f} s"
                 self._console.print(f"{state:>9} {took:>9}  {STAGES[stage].title}", highlight=False)
+            for warning in warnings:
+                print_warning(self._console, warning)
         line.state = state

@@ -10,7 +10,7 @@ from rich.console import Console
 from rich.markup import escape
 from rich.table import Table
 
-from wibam_core.cli.display import list_table, print_list
+from wibam_core.cli.display import list_table, print_list, print_warning
 from wibam_core.cli.run import parse_options
 from wibam_core.cli.service import DEFAULT_URL, JobDisplay, Token, Url, connect
 from wibam_core.cli.service import watch as watch_job
@@ -53,6 +53,9 @@ def show(job_id: JobId, url: Url = DEFAULT_URL, token: Token = "") -> None:
         says = stage.error.message if stage.error is not None else stage.message
         table.add_row(stage.title, stage.state.value, f"{stage.fraction:.0%}", seconds, escape(says))
     console.print(table)
+    for stage in job.stages:
+        for warning in stage.warnings:
+            print_warning(console, warning)
     left = "" if job.remaining_s is None else f", about {job.remaining_s:.0f} s left"
     console.print(f"{job.id}: {job.state}, {job.fraction:.0%} done{left}", highlight=False)
     if job.error is not None:

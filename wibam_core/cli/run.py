@@ -72,7 +72,15 @@ def run(
     with StageDisplay(console) as display:
 
         def show(update: StageUpdate) -> None:
-            display.update(update.stage, update.state, update.fraction, update.message, update.figures, update.seconds)
+            display.update(
+                update.stage,
+                update.state,
+                update.fraction,
+                update.message,
+                update.figures,
+                update.seconds,
+                update.warnings,
+            )
 
         result = run_pipeline(folder, store, config, show, until=until)
     if "report" in result.summaries:

@@ -6,6 +6,7 @@ from typing import Any
 
 from pydantic import BaseModel, ConfigDict
 
+from wibam_core.documents.warnings import StageWarning
 from wibam_core.errors import WibamError
 from wibam_core.jobs.records import Purpose
 from wibam_core.jobs.states import JobState, StageState
@@ -53,6 +54,7 @@ class StageView(_View):
     message: str
     figures: dict[str, float | None] = {}
     summary: dict[str, Any] | None = None
+    warnings: tuple[StageWarning, ...] = ()
     error: ProblemView | None = None
     seconds: float | None = None
 

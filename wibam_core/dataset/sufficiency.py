@@ -7,6 +7,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 from wibam_core.documents.split import Split
+from wibam_core.documents.warnings import Caution
 from wibam_core.errors import NoMultiViewVehicles
 from wibam_core.scene import AnnotatedInstant, Vehicles3D
 
@@ -30,13 +31,18 @@ class Sufficiency:
     more_minutes: int
 
     @property
-    def warnings(self) -> list[str]:
-        """Sentences for a person; none where there are enough vehicles."""
+    def cautions(self) -> list[Caution]:
+        """What a person should know; nothing where there are enough vehicles."""
         if not self.more_minutes:
             return []
         return [
-            f"The training part holds {self.vehicles} {'vehicle' if self.vehicles == 1 else 'vehicles'} to learn from, "
-            f"fewer than the {MIN_VEHICLES} that it should: record about {minutes(self.more_minutes)} more."
+            Caution(
+                code="few_vehicles",
+                message=f"The training part holds {self.vehicles} {'vehicle' if self.vehicles == 1 else 'vehicles'} to "
+                f"learn from, fewer than the {MIN_VEHICLES} that it should",
+                hint=f"Record about {minutes(self.more_minutes)} more.",
+                details={"vehicles": self.vehicles, "more_minutes": self.more_minutes},
+            )
         ]
 
     def require_any(self) -> None:

@@ -37,5 +37,3 @@ class Curves(Document):
     kept: Literal["best", "last"]
     kept_step: int
     epochs: list[Epoch]
-    warnings: tuple[str, ...] = ()
-    """Sentences for a person: what makes the result doubtful."""

@@ -5,6 +5,7 @@ from __future__ import annotations
 from pydantic import AliasChoices, Field, JsonValue
 
 from wibam_core.documents.base import Document
+from wibam_core.documents.warnings import StageWarning
 
 
 class FileFacts(Document):
@@ -23,5 +24,7 @@ class Manifest(Document):
     seconds: float
     """How long it took."""
     summary: dict[str, JsonValue]
+    warnings: tuple[StageWarning, ...] = ()
+    """In the order in which the stage came upon them."""
     files: dict[str, FileFacts]
     """By name within the stage's folder."""

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from wibam_core.documents.base import Document, MeanSd
+from wibam_core.documents.warnings import StageWarning
 
 
 class HeadlineFigures(Document):
@@ -28,6 +29,7 @@ class JobSummary(Document):
     """By network: IoU of its boxes in the views that they were not made in."""
     seconds: dict[str, float]
     """Running time by stage."""
+    warnings: tuple[StageWarning, ...]
     tracks: int
     conflicts: int
     paths: dict[str, str]

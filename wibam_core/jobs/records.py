@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from enum import StrEnum
 from typing import Any
 
+from wibam_core.documents.warnings import StageWarning
 from wibam_core.jobs.machine import StageNode
 from wibam_core.jobs.states import JobState, StageState
 from wibam_core.site import Site
@@ -86,6 +87,7 @@ class StageRun:
         fence: raised by every claim; see `wibam_core.jobs.leases`.
         fraction, message, figures: the latest progress.
         summary: what the stage says about its result. error: a `WibamError.to_dict`.
+        warnings: what makes its result doubtful, also where it failed.
     """
 
     job_id: str
@@ -102,6 +104,7 @@ class StageRun:
     message: str = ""
     figures: Mapping[str, float] | None = None
     summary: Mapping[str, Any] | None = None
+    warnings: tuple[StageWarning, ...] = ()
     error: Mapping[str, Any] | None = None
     started_at: float | None = None
     finished_at: float | None = None

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-
 from wibam_core.documents.metrics import DetectorFigures, Metrics, Significance
 from wibam_core.report.words import percent
 
@@ -17,20 +15,14 @@ _CLEAR_LOSS = 0.05
 _CLEAR_Z, _CLEAR_RATIO = 2.58, 1.25
 
 
-def advice(metrics: Metrics, warnings: Sequence[str] = ()) -> list[str]:
-    """A few sentences: what changed, whether that is more than chance, what to do.
-
-    Args:
-        metrics: of both networks.
-        warnings: of fine-tuning, such as of too few vehicles to learn from; they come last.
-    """
+def advice(metrics: Metrics) -> list[str]:
+    """A few sentences: what changed, whether that is more than chance, what to do."""
     if metrics.baseline is None or metrics.finetuned is None:
-        return [*_without_labels(metrics), *warnings]
+        return _without_labels(metrics)
     return [
         _what_changed(metrics.baseline, metrics.finetuned),
         _verdict(metrics.baseline, metrics.finetuned, (metrics.significance or {}).get("bev_iou")),
         *_reservations(metrics.baseline, metrics.finetuned, metrics.significance or {}),
-        *warnings,
     ]
 
 

@@ -59,7 +59,6 @@ _DECODES = {
     "refined": "where they agree best with all that the network says about them and with a second look at their edges",
 }
 _KEPT = {"last": "those of the last step", "best": "those of the best validation loss"}
-_NOT_SYNCHRONISED = "The recordings were taken to share one clock, as asked for; nothing was measured."
 
 _ByFrame = Mapping[tuple[int, str], Vehicles3D]
 
@@ -87,10 +86,12 @@ def assemble(
         for name, found in (("baseline", before), ("finetuned", after))
     }
     tracks = inputs.read(catalogue.TRACKS)
+    made = {stage: inputs.manifest(stage) for stage in titles if stage in inputs.stages}
     timeline = LabelTimeline(read_labels(labels)) if labels is not None and metrics.finetuned is not None else None
     return ReportData(
         site_name=site_name,
         version=wibam_core.__version__,
+        warnings=tuple(warning for stage in made for warning in made[stage].warnings),
         rig=rig,
         recordings=_recordings(inputs.read(catalogue.PROBE)),
         synchronisation=_synchronisation(inputs.read(catalogue.CHANGES)),
@@ -105,7 +106,7 @@ def assemble(
         clusters=tuple(_clustered(instant, rig) for instant in busiest(annotations, _CLUSTER_INSTANTS)),
         boxes=tuple(_boxes(choice, predictions, timeline) for choice in choices),
         examples=tuple(_example(choice, store, rig, predictions, timeline) for choice in choices),
-        stages=_stages(inputs, titles),
+        stages=tuple(StageRow(titles[stage], one.hash, one.seconds) for stage, one in made.items()),
         options=_options(metrics, conflicts),
     )
 
@@ -123,7 +124,7 @@ def _recordings(probe: Probe) -> tuple[Recording, ...]:
 
 def _synchronisation(changes: Changes) -> Synchronisation:
     if changes.method == "none":
-        return Synchronisation((), (), (_NOT_SYNCHRONISED,))
+        return Synchronisation((), (), measured=False)
     clocks = tuple(
         ClockRow(
             camera_id,
@@ -143,14 +144,7 @@ def _synchronisation(changes: Changes) -> Synchronisation:
         for seen in group.observations
         if seen.camera != changes.reference and seen.delay_before_s is not None and seen.delay_after_s is not None
     )
-    warnings = tuple(
-        f"The clock of {camera_id} is ambiguous: {clock.matched} light changes also meet with an offset of "
-        + " or ".join(f"{other.offset_s:+.2f} s" for other in clock.alternatives if other.matched >= clock.matched)
-        + ". Compare a moving vehicle in two cameras, or record for longer."
-        for camera_id, clock in changes.cameras.items()
-        if clock.ambiguous
-    )
-    return Synchronisation(clocks, delays, warnings)
+    return Synchronisation(clocks, delays)
 
 
 def _calibration(residuals: CalibrationResiduals) -> tuple[CalibrationRow, ...]:
@@ -216,9 +210,7 @@ def _training(curves: Curves, lifts: LiftStatistics) -> Training:
     if lifts.residual is not None:
         facts.append(("median residual of the fits", f"{lifts.residual.p50:.3f} (mean 1 − GIoU over the views)"))
     parts = tuple(_curve(name.replace("_", " "), steps, [e.train for e in curves.epochs], name) for name in names)
-    return Training(
-        tuple(curve for curve in totals if curve.steps), parts, curves.kept_step, tuple(facts), tuple(curves.warnings)
-    )
+    return Training(tuple(curve for curve in totals if curve.steps), parts, curves.kept_step, tuple(facts))
 
 
 def _curve(title: str, steps: Sequence[int], losses: Sequence[Mapping[str, float]], name: str) -> Curve:
@@ -291,11 +283,6 @@ def _example(
 def _found(predictions: _ByFrame, time_ns: int, camera_id: str) -> Array:
     found = predictions.get((time_ns, camera_id))
     return np.empty((0, 7)) if found is None else found.boxes
-
-
-def _stages(inputs: ArtifactReader, titles: Mapping[str, str]) -> tuple[StageRow, ...]:
-    manifests = {stage: inputs.manifest(stage) for stage in titles if stage in inputs.stages}
-    return tuple(StageRow(titles[stage], manifest.hash, manifest.seconds) for stage, manifest in manifests.items())
 
 
 def _options(metrics: Metrics, conflicts: Conflicts) -> tuple[tuple[str, str], ...]:

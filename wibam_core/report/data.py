@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from wibam_core.documents.conflicts import ConflictRow
 from wibam_core.documents.metrics import Metrics
 from wibam_core.documents.statistics import SubsetStatistics
+from wibam_core.documents.warnings import StageWarning
 from wibam_core.geometry.camera import Camera
 from wibam_core.report.bev import BoxesInstant, ClusteredInstant
 from wibam_core.report.charts import Bars, Curve, Delay, Histogram
@@ -55,11 +56,11 @@ class ClockRow:
 
 @dataclass(frozen=True)
 class Synchronisation:
-    """Clocks, delays of the light changes, and what a person must know about them."""
+    """Clocks and delays of the light changes; ``measured`` is False where the cameras were taken to share a clock."""
 
     clocks: tuple[ClockRow, ...]
     delays: tuple[Delay, ...]
-    warnings: tuple[str, ...]
+    measured: bool = True
 
 
 @dataclass(frozen=True)
@@ -102,13 +103,12 @@ class Dataset:
 
 @dataclass(frozen=True)
 class Training:
-    """How the network was taught: losses in all and by part, whose weights were kept, (what, value), warnings."""
+    """How the network was taught: losses in all and by part, whose weights were kept, (what, value)."""
 
     totals: tuple[Curve, ...]
     parts: tuple[Curve, ...]
     kept_step: int
     facts: tuple[tuple[str, str], ...]
-    warnings: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True, eq=False)
@@ -149,6 +149,7 @@ class ReportData:
     Attributes:
         site_name: as the user wrote it.
         version: of this software.
+        warnings: of all stages, in their order.
         typical_images: camera id -> (H, W, 3), BGR, without what moves.
         examples: pictures before and after. boxes: the same seen from above. clusters: rays of single instants.
         options: (stage.option, value) as far as stages wrote them down.
@@ -156,6 +157,7 @@ class ReportData:
 
     site_name: str
     version: str
+    warnings: tuple[StageWarning, ...]
     rig: CameraRig
     recordings: tuple[Recording, ...]
     synchronisation: Synchronisation

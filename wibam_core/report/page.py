@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from wibam_core.documents.conflicts import ConflictRow
 from wibam_core.documents.metrics import Metrics
 from wibam_core.documents.statistics import SubsetStatistics
+from wibam_core.documents.warnings import StageWarning
 from wibam_core.report.advice import advice
 from wibam_core.report.data import Dataset, ReportData
 from wibam_core.report.pictures import MAX_CONFLICTS, Picture, Pictures
@@ -42,6 +43,7 @@ class Page:
     done: str
     tiles: tuple[Tile, ...]
     advice: tuple[str, ...]
+    warnings: tuple[StageWarning, ...]
     contents: tuple[tuple[str, str], ...]
     pictures: Pictures
     has_labels: bool
@@ -59,7 +61,7 @@ class Page:
     measures: tuple[tuple[str, str], ...]
     conflicts: tuple[tuple[str, ...], ...]
     conflicts_left_out: int
-    sync_warnings: tuple[str, ...]
+    synchronised: bool
     clocks: tuple[tuple[str, ...], ...]
     zones: tuple[str, ...]
     calibration: tuple[tuple[str, ...], ...]
@@ -78,7 +80,8 @@ def build_page(data: ReportData, pictures: Pictures) -> Page:
         site_name=data.site_name,
         done=_done(data),
         tiles=_tiles(data),
-        advice=tuple(advice(metrics, data.training.warnings)),
+        advice=tuple(advice(metrics)),
+        warnings=data.warnings,
         contents=_contents(pictures),
         pictures=pictures,
         has_labels=metrics.finetuned is not None,
@@ -101,7 +104,7 @@ def build_page(data: ReportData, pictures: Pictures) -> Page:
             conflict_cells(number, row) for number, row in enumerate(data.conflicts[:MAX_CONFLICTS], start=1)
         ),
         conflicts_left_out=max(len(data.conflicts) - MAX_CONFLICTS, 0),
-        sync_warnings=data.synchronisation.warnings,
+        synchronised=data.synchronisation.measured,
         clocks=_clocks(data),
         zones=tuple(f"{low:g}–{high:g} m" for low, high in _zones(data)),
         calibration=_calibration(data),

@@ -2,18 +2,22 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, TypeVar
 
 from wibam_core.artifacts.access import ArtifactReader, ArtifactWriter
 from wibam_core.artifacts.artifact import Artifact
+from wibam_core.documents.warnings import Caution, StageWarning
 from wibam_core.progress import Progress
 from wibam_core.site import Site
 
 #: Figures of a stage for a person and for the job's status: JSON types only.
 Summary = dict[str, Any]
+
+#: Who is told of a stage's warnings, at once.
+WarningListener = Callable[[StageWarning], None]
 
 T = TypeVar("T")
 
@@ -23,6 +27,7 @@ class StageContext:
     """The surroundings of one run of one stage, the same whoever runs it.
 
     Attributes:
+        stage: its name.
         site: what the user said.
         recordings: camera id -> uploaded file.
         assets: other uploaded files that the options use, by their names in `wibam_core.stages.assets`.
@@ -30,8 +35,10 @@ class StageContext:
         outputs: what this stage makes, published as a whole once it returns; see `write`.
         scratch: survives a killed attempt of this very stage (same hash): checkpoints to resume from.
         progress: call it a few times a second at most.
+        warned: who is told of warnings; see `warn`.
     """
 
+    stage: str
     site: Site
     recordings: Mapping[str, Path]
     assets: Mapping[str, Path]
@@ -39,6 +46,12 @@ class StageContext:
     outputs: ArtifactWriter
     scratch: Path
     progress: Progress
+    warned: WarningListener
+
+    def warn(self, *cautions: Caution) -> None:
+        """Say what makes the result doubtful: to the log, the job, the terminal and the top of the report."""
+        for caution in cautions:
+            self.warned(StageWarning(stage=self.stage, **caution.model_dump()))
 
     def read(self, artifact: Artifact[T]) -> T:
         """An artifact of a stage before."""

@@ -1,7 +1,8 @@
 """Run one stage: in this process (`run_stage`), or as a program of its own for a worker to watch and kill.
 
 ``python -m wibam_core.stages.execute REQUEST.json`` reads a `StageRequest`, runs the stage and speaks JSON lines on
-standard output: ``{"event": "progress", "fraction", "message", "figures"}``, and last either
+standard output: ``{"event": "progress", "fraction", "message", "figures"}``, ``{"event": "warning", "warning"}`` (a
+`StageWarning`), and last either
 ``{"event": "done", "summary"}`` (exit code 0) or ``{"event": "failed", "error"}`` (exit code 1). Everything else that
 any library prints goes to standard error, which is the log.
 """
@@ -23,10 +24,11 @@ from pydantic import BaseModel, ConfigDict
 
 from wibam_core.artifacts.access import ArtifactReader, ArtifactWriter
 from wibam_core.config import PipelineConfig
+from wibam_core.documents.warnings import StageWarning
 from wibam_core.errors import DiskFull, StageCrashed, StageOutOfMemory, WibamError
 from wibam_core.progress import Progress
 from wibam_core.site import Site
-from wibam_core.stages.base import StageContext, Summary
+from wibam_core.stages.base import StageContext, Summary, WarningListener
 from wibam_core.stages.graph import STAGES
 from wibam_core.stages.store import Attempt
 
@@ -79,9 +81,10 @@ class StageRequest(BaseModel):
             scratch=attempt.scratch,
         )
 
-    def context(self, progress: Progress) -> StageContext:
+    def context(self, progress: Progress, warned: WarningListener) -> StageContext:
         """The stage's surroundings."""
         return StageContext(
+            self.stage,
             self.site,
             self.recordings,
             self.assets,
@@ -89,11 +92,17 @@ class StageRequest(BaseModel):
             ArtifactWriter(self.stage, self.output, STAGES[self.stage].writes),
             self.scratch,
             progress,
+            warned,
         )
 
 
-def run_stage(request: StageRequest, progress: Progress) -> Summary:
+def run_stage(request: StageRequest, progress: Progress, warned: WarningListener) -> Summary:
     """Run a stage in this process.
+
+    Args:
+        request: which, and on what.
+        progress: told how far it is.
+        warned: told of its warnings, as they come; those of a stage that fails, too.
 
     Raises:
         WibamError: whatever went wrong, as the tree of errors says it.
@@ -101,7 +110,7 @@ def run_stage(request: StageRequest, progress: Progress) -> Summary:
     stage = request.stage
     module = importlib.import_module(f"wibam_core.stages.{stage}")
     try:
-        summary: Summary = module.run(request.context(progress), STAGES[stage].config(request.config))
+        summary: Summary = module.run(request.context(progress, warned), STAGES[stage].config(request.config))
     except WibamError:
         raise
     except MemoryError as error:
@@ -127,6 +136,9 @@ class _Reporter:
         self._stream.write(json.dumps({"event": event, **fields}) + "\n")
         self._stream.flush()
 
+    def warn(self, warning: StageWarning) -> None:
+        self.emit("warning", warning=warning.model_dump(mode="json"))
+
     def __call__(self, fraction: float, message: str = "", **figures: float) -> None:
         now = time.monotonic()
         if fraction < 1.0 and now - self._last < _SECONDS_BETWEEN_REPORTS:
@@ -142,7 +154,7 @@ def main(arguments: list[str]) -> int:
     os.dup2(2, 1)
     request = StageRequest.model_validate_json(Path(arguments[0]).read_bytes())
     try:
-        summary = run_stage(request, reporter)
+        summary = run_stage(request, reporter, reporter.warn)
     except WibamError as error:
         reporter.emit("failed", error=error.to_dict())
         return 1

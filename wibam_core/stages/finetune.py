@@ -31,6 +31,7 @@ def run(context: StageContext, config: FinetuneConfig) -> Summary:
     network = load_centertrack(start) if custom else load_network(start)
     dataset, enough = _dataset(context, config)
     enough.require_any()
+    context.warn(*enough.cautions)
     result = finetune(network, dataset, config, context.progress, context.scratch)
     factors = asdict(sd_factors(result.network, dataset, config.decode))
     usage = Usage(config.decode, factors)
@@ -47,10 +48,9 @@ def run(context: StageContext, config: FinetuneConfig) -> Summary:
         kept=result.kept,
         kept_step=result.kept_step,
         epochs=list(result.epochs),
-        warnings=tuple(enough.warnings),
     )
     context.write(CURVES, curves)
-    return _summary(dataset, result) | {"vehicles": enough.vehicles, "warnings": enough.warnings}
+    return _summary(dataset, result) | {"vehicles": enough.vehicles}
 
 
 def _dataset(context: StageContext, config: FinetuneConfig) -> tuple[SiteDataset, Sufficiency]:

@@ -10,11 +10,15 @@ from numpy.typing import NDArray
 from wibam_core.artifacts.catalogue import LIMITS, PROBE, TIMESTAMPS
 from wibam_core.config import PreflightConfig
 from wibam_core.documents.recordings import Limits, Probe, VideoInfo
+from wibam_core.documents.warnings import Caution
 from wibam_core.errors import InputError, InvalidWeights, MissingCamera, NoOverlap, UnreadableVideo
 from wibam_core.formats.labels import read_labels
 from wibam_core.site import SiteCamera
 from wibam_core.stages.base import StageContext, Summary
 from wibam_core.video.probe import measure
+
+#: Longer than this without a frame is worth a word.
+_LONGEST_GAP_S = 1.0
 
 
 def run(context: StageContext, config: PreflightConfig) -> Summary:
@@ -53,6 +57,8 @@ def run(context: StageContext, config: PreflightConfig) -> Summary:
     context.write(PROBE, Probe(cameras=infos))
     context.write(TIMESTAMPS, times)
     context.write(LIMITS, Limits(min_overlap_s=config.min_overlap_s))
+    for camera_id, info in infos.items():
+        context.warn(*_cautions(camera_id, info))
     context.progress(1.0)
     return {
         "cameras": {
@@ -61,7 +67,6 @@ def run(context: StageContext, config: PreflightConfig) -> Summary:
         },
         **labelled,
         "shortest_s": min(info.duration_s for info in infos.values()),
-        "warnings": [warning for camera_id, info in infos.items() for warning in _warnings(camera_id, info)],
     }
 
 
@@ -95,10 +100,25 @@ def _check_size(camera: SiteCamera, info: VideoInfo) -> None:
     )
 
 
-def _warnings(camera_id: str, info: VideoInfo) -> list[str]:
-    warnings = []
+def _cautions(camera_id: str, info: VideoInfo) -> list[Caution]:
+    """What a person should know about a recording."""
+    found = []
     if info.missing_frames:
-        warnings.append(f"camera {camera_id}: the file was cut off; its last {info.missing_frames} frames are missing")
-    if info.largest_gap_s > 1.0:
-        warnings.append(f"camera {camera_id}: no frame for {info.largest_gap_s:.1f} s")
-    return warnings
+        found.append(
+            Caution(
+                code="cut_off",
+                message=f"Camera {camera_id}: the file was cut off; its last {info.missing_frames} frames are missing",
+                hint="Copy the file from the camera again if what is missing matters; the rest is used.",
+                details={"camera": camera_id, "frames": info.missing_frames},
+            )
+        )
+    if info.largest_gap_s > _LONGEST_GAP_S:
+        found.append(
+            Caution(
+                code="recording_gap",
+                message=f"Camera {camera_id}: there is no frame for {info.largest_gap_s:.1f} s",
+                hint="Nothing is seen by this camera meanwhile; look whether the recording was joined from parts.",
+                details={"camera": camera_id, "gap_s": info.largest_gap_s},
+            )
+        )
+    return found

@@ -12,6 +12,7 @@ from typing import Any
 
 from wibam_core.artifacts.access import ArtifactReader
 from wibam_core.config import PipelineConfig
+from wibam_core.documents.warnings import StageWarning
 from wibam_core.errors import MissingCamera, SiteFileError, WibamError
 from wibam_core.progress import Progress
 from wibam_core.site import Site
@@ -83,7 +84,10 @@ class SiteFolder:
 
 @dataclass(frozen=True)
 class StageUpdate:
-    """How a stage is doing. ``state`` is "running", "given", "reused", "succeeded" or "failed"."""
+    """How a stage is doing. ``state`` is "running", "given", "reused", "succeeded" or "failed".
+
+    The last update of a stage has its warnings, those of one that failed, too.
+    """
 
     stage: str
     state: str
@@ -92,6 +96,7 @@ class StageUpdate:
     figures: Mapping[str, float] = field(default_factory=dict)
     summary: Mapping[str, Any] = field(default_factory=dict)
     seconds: float = 0.0
+    warnings: Sequence[StageWarning] = ()
 
 
 @dataclass(frozen=True)
@@ -144,7 +149,11 @@ def run_pipeline(
                     state = "succeeded"
         manifest = ArtifactReader({name: found}).manifest(name)
         folders[name], summaries[name], seconds[name] = found, manifest.summary, manifest.seconds
-        listener(StageUpdate(name, state, 1.0, summary=manifest.summary, seconds=manifest.seconds))
+        listener(
+            StageUpdate(
+                name, state, 1.0, summary=manifest.summary, seconds=manifest.seconds, warnings=manifest.warnings
+            )
+        )
         if name == until:
             break
     return PipelineResult(ArtifactReader(folders), summaries, seconds)
@@ -170,12 +179,14 @@ def _made(
     name = planned.name
     attempt = store.begin(name, planned.hash)
     request = StageRequest.of(attempt, folder.site, config, folder.recordings, folder.assets, folders)
+    warnings: list[StageWarning] = []
     report(0.0)
     started = time.monotonic()
     try:
-        return store.publish(attempt, run_stage(request, report), time.monotonic() - started)
+        summary = run_stage(request, report, warnings.append)
+        return store.publish(attempt, summary, time.monotonic() - started, warnings)
     except WibamError as error:
-        listener(StageUpdate(name, "failed", message=error.message))
+        listener(StageUpdate(name, "failed", message=error.message, warnings=warnings))
         raise
     finally:
         store.discard(attempt)

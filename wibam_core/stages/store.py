@@ -10,12 +10,13 @@ import re
 import secrets
 import shutil
 import tempfile
-from collections.abc import Callable, Collection, Iterator
+from collections.abc import Callable, Collection, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
 from wibam_core.artifacts.access import MANIFEST
 from wibam_core.documents.manifest import FileFacts, Manifest
+from wibam_core.documents.warnings import StageWarning
 from wibam_core.stages.base import Summary
 
 _ADDRESS = re.compile(r"(\w+)-([0-9a-f]{32})")
@@ -83,12 +84,12 @@ class StageStore:
         prefix = _prefix(attempt.stage, attempt.hash)
         return tempfile.TemporaryDirectory(prefix=prefix, dir=self._partial, ignore_cleanup_errors=True)
 
-    def seal(self, attempt: Attempt, summary: Summary, seconds: float) -> None:
+    def seal(self, attempt: Attempt, summary: Summary, seconds: float, warnings: Sequence[StageWarning] = ()) -> None:
         """Write the manifest of a finished attempt, with the digests of its files. Takes as long as reading them.
 
         Once it returns, the output would survive a power cut.
         """
-        write_manifest(attempt.output, attempt.stage, attempt.hash, summary, seconds)
+        write_manifest(attempt.output, attempt.stage, attempt.hash, summary, seconds, warnings)
         for path in (*attempt.output.rglob("*"), attempt.output):
             if path.is_file() or path.is_dir():
                 _sync(path)
@@ -105,9 +106,11 @@ class StageStore:
         _sync(self.root)
         return folder
 
-    def publish(self, attempt: Attempt, summary: Summary, seconds: float) -> Path:
+    def publish(
+        self, attempt: Attempt, summary: Summary, seconds: float, warnings: Sequence[StageWarning] = ()
+    ) -> Path:
         """Seal and reveal an attempt, and drop its scratch."""
-        self.seal(attempt, summary, seconds)
+        self.seal(attempt, summary, seconds, warnings)
         folder = self.reveal(attempt)
         self.discard(attempt)  # of two that raced, the second is still there
         self.drop_scratch(attempt)
@@ -153,14 +156,18 @@ class StageStore:
             shutil.rmtree(aside, ignore_errors=True)  # `sweep` tries again
 
 
-def write_manifest(folder: Path, stage: str, hash: str, summary: Summary, seconds: float) -> None:
+def write_manifest(
+    folder: Path, stage: str, hash: str, summary: Summary, seconds: float, warnings: Sequence[StageWarning] = ()
+) -> None:
     """Write the manifest of a folder that holds all of a stage's outputs."""
     files = {
         path.relative_to(folder).as_posix(): FileFacts(bytes=path.stat().st_size, sha256=sha256_of(path))
         for path in sorted(folder.rglob("*"))
         if path.is_file()
     }
-    manifest = Manifest(stage=stage, hash=hash, seconds=round(seconds, 3), summary=summary, files=files)
+    manifest = Manifest(
+        stage=stage, hash=hash, seconds=round(seconds, 3), summary=summary, warnings=tuple(warnings), files=files
+    )
     (folder / MANIFEST).write_text(manifest.model_dump_json(indent=1), encoding="utf-8")
 
 

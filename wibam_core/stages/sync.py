@@ -19,7 +19,7 @@ from wibam_core.scene import ClockMap, SignalChange
 from wibam_core.site import SiteCamera
 from wibam_core.stages.base import StageContext, Summary
 from wibam_core.sync.changes import detect_changes
-from wibam_core.sync.document import sync_document
+from wibam_core.sync.document import ambiguities, sync_document
 from wibam_core.sync.offsets import estimate_clocks
 from wibam_core.video.decode import decode
 
@@ -50,6 +50,7 @@ def run(context: StageContext, config: SyncConfig) -> Summary:
     document = sync_document(changes, result)
     context.write(CLOCKS, Clocks(result.clocks, result.errors))
     context.write(CHANGES, document)
+    context.warn(*ambiguities(document))
     cameras = {camera_id: clock.model_dump() for camera_id, clock in document.cameras.items()}
     return {"method": "signals", "matched_changes": len(result.groups), "cameras": cameras}
 

@@ -12,6 +12,7 @@ from wibam_core.documents.synchronisation import (
     SeenChange,
     Synchronisation,
 )
+from wibam_core.documents.warnings import Caution
 from wibam_core.scene import SignalChange
 from wibam_core.sync.offsets import SyncResult
 
@@ -66,6 +67,25 @@ def seen_change(change: SignalChange, matched: bool | None = None) -> SeenChange
         confidence=round(change.confidence, 4),
         matched=matched,
     )
+
+
+def ambiguities(document: Synchronisation) -> list[Caution]:
+    """Cameras whose light changes meet as well under another offset."""
+    return [
+        Caution(
+            code="ambiguous_clock",
+            message=f"The clock of {camera_id} is ambiguous: {clock.matched} light changes also meet with an offset of "
+            + " or ".join(f"{other.offset_s:+.2f} s" for other in clock.alternatives if other.matched >= clock.matched),
+            hint="Compare a moving vehicle in two cameras, or record for longer.",
+            details={
+                "camera": camera_id,
+                "offset_s": clock.offset_s,
+                "alternatives_s": [other.offset_s for other in clock.alternatives],
+            },
+        )
+        for camera_id, clock in document.cameras.items()
+        if clock.ambiguous
+    ]
 
 
 def _camera(camera_id: str, changes: Mapping[str, Sequence[SignalChange]], result: SyncResult) -> CameraClock:

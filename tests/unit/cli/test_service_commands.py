@@ -12,7 +12,7 @@ import typer
 from rich.console import Console
 from typer.testing import CliRunner
 
-from tests.builders import corner_rig, site_of
+from tests.builders import AMBIGUOUS, corner_rig, site_of
 from tests.finished import finished_job
 from tests.service import TOKEN, LiveApi, live_api, settings_for
 from wibam_core.cli import jobs
@@ -177,6 +177,9 @@ def test_without_a_token_the_hint_says_where_it_is(api: LiveApi) -> None:
 def test_a_finished_job_is_shown(api: LiveApi, job: str) -> None:
     assert "succeeded, 100% done" in wibam(api, "jobs", "show", job)
     assert "succeeded" in wibam(api, "jobs", "watch", job)
+    for command in ("show", "watch"):
+        shown = wibam(api, "jobs", command, job)
+        assert AMBIGUOUS.message in shown and AMBIGUOUS.hint in shown
     api.services.folder.log(job).write_text("a line\n")
     assert wibam(api, "jobs", "log", job) == "a line\n"
     assert wibam(api, "jobs", "log", job, "--follow") == "a line\n"

@@ -33,11 +33,12 @@ from wibam_core.errors import NoMultiViewVehicles
 def test_more_minutes_at_the_observed_rate(vehicles: int, seconds: float, more: int) -> None:
     found = sufficiency(vehicles, seconds)
     assert found.more_minutes == more
-    assert (not found.warnings) == (more == 0)
+    assert (not found.cautions) == (more == 0)
     if more and vehicles:
         found.require_any()
-        assert f"{vehicles} vehicle" in found.warnings[0]
-        assert f"{more} minute{'s' if more > 1 else ''} more" in found.warnings[0]
+        [caution] = found.cautions
+        assert f"{vehicles} vehicle" in caution.message
+        assert f"{more} minute{'s' if more > 1 else ''} more" in caution.hint
 
 
 def test_no_vehicle_at_all_says_how_much_longer_to_record() -> None:

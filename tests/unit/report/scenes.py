@@ -8,7 +8,7 @@ from typing import Any
 import cv2
 import numpy as np
 
-from tests.builders import corner_rig
+from tests.builders import AMBIGUOUS, corner_rig
 from wibam_core.documents.conflicts import Conflicts
 from wibam_core.documents.metrics import Metrics
 from wibam_core.documents.statistics import SubsetStatistics
@@ -270,6 +270,7 @@ def report_data(*, labels: bool = True, site_name: str = "Elm Street / 4th Avenu
     return ReportData(
         site_name=site_name,
         version="0.1.0",
+        warnings=(AMBIGUOUS,),
         rig=rig,
         recordings=tuple(Recording(c, "h264", 640, 360, 25.0, 600.0) for c in ids),
         synchronisation=Synchronisation(
@@ -280,7 +281,6 @@ def report_data(*, labels: bool = True, site_name: str = "Elm Street / 4th Avenu
                 for t in np.arange(10, 600, 45.0)
                 if k
             ),
-            warnings=("The clock of cam3 is ambiguous: 24 light changes also meet with an offset of +45.00 s.",),
         ),
         calibration=tuple(
             CalibrationRow(c, "pnp", 12, 1, 0.61, 1.9, 0.04, {(0.0, 15.0): 0.04, (15.0, 30.0): 0.09, (30.0, 50.0): 0.2})

@@ -9,6 +9,7 @@ from html.parser import HTMLParser
 
 import pytest
 
+from tests.builders import AMBIGUOUS
 from tests.unit.report.scenes import report_data
 from wibam_core.report.data import Synchronisation, Training
 from wibam_core.report.render import render
@@ -88,9 +89,22 @@ def text_alone(**changes) -> str:
 
 
 def test_hostile_names_stay_text():
-    page = text_alone(site_name=HOSTILE, synchronisation=Synchronisation((), (), (HOSTILE,)))
+    page = text_alone(site_name=HOSTILE, warnings=(AMBIGUOUS.model_copy(update={"message": HOSTILE}),))
     assert "<script>" not in page and "&lt;script&gt;alert(1)&lt;/script&gt;" in page
     assert "{{ 7*7 }}" in page and "Straße" in page
+
+
+def test_warnings_stand_above_all_figures():
+    page = text_alone()
+    top = page[page.index("<h1>") : page.index('<dl class="tiles">')]
+    assert AMBIGUOUS.message in top and AMBIGUOUS.hint in top
+    assert 'role="note"' in top
+    assert AMBIGUOUS.message not in text_alone(warnings=())
+
+
+def test_clocks_that_were_taken_to_be_one_are_said_to_be(page):
+    assert "share one clock" in text_alone(synchronisation=Synchronisation((), (), measured=False))
+    assert "share one clock" not in page
 
 
 def test_without_labels_there_is_no_accuracy_but_agreement(page):
@@ -120,7 +134,7 @@ def test_the_note_says_what_the_most_braking_means(page):
 
 def test_with_nothing_found_the_page_still_stands():
     page = text_alone(
-        conflicts=(), synchronisation=Synchronisation((), (), ()), training=Training((), (), 0, ()), stages=()
+        conflicts=(), synchronisation=Synchronisation((), ()), training=Training((), (), 0, ()), stages=()
     )
     assert "No track was found." in page and "No conflict with" in page
     assert "No frame of the test part shows a vehicle." in page

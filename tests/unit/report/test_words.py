@@ -9,6 +9,7 @@ from pathlib import Path
 import pytest
 from rich.console import Console
 
+from tests.builders import AMBIGUOUS
 from tests.unit.report.scenes import conflicts_json, crossing_traffic, metrics_json
 from wibam_core.cli.tables import print_tables
 from wibam_core.documents.conflicts import Conflicts
@@ -109,12 +110,6 @@ def test_advice_sees_a_gain_that_loses_vehicles():
     assert "fewer vehicles are found" in " ".join(advice(Metrics.model_validate(document)))
 
 
-def test_advice_ends_with_what_fine_tuning_warned_of():
-    for labels in (True, False):
-        metrics = Metrics.model_validate(metrics_json(labels=labels))
-        assert advice(metrics, ["Record more."]) == [*advice(metrics), "Record more."]
-
-
 def test_advice_without_labels_claims_no_accuracy():
     text = " ".join(advice(Metrics.model_validate(metrics_json(labels=False))))
     assert "no labels" in text and "0.42 before and 0.71 after" in text
@@ -158,8 +153,9 @@ def test_interval_without_an_upper_end():
 def test_summary_has_the_promised_keys(labels):
     paths = {"weights": Path("w"), "tracks": Path("t"), "report": Path("r")}
     metrics = Metrics.model_validate(metrics_json(labels=labels))
-    found = json.loads(summary(metrics, {"sync": 1.23456}, 6, 1, paths).model_dump_json())
+    found = json.loads(summary(metrics, {"sync": 1.23456}, [AMBIGUOUS], 6, 1, paths).model_dump_json())
     assert found["tracks"] == 6 and found["conflicts"] == 1 and found["seconds"] == {"sync": 1.235}
+    assert found["warnings"] == [AMBIGUOUS.model_dump()]
     assert found["paths"] == {"weights": "w", "tracks": "t", "report": "r"}
     for name in ("baseline", "finetuned"):
         if not labels:

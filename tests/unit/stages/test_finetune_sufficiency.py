@@ -19,8 +19,10 @@ def test_few_vehicles_are_warned_of(tmp_path: Path) -> None:
     assert curves.method == "combined"
     assert "multiview" in curves.epochs[0].train
     assert summary["vehicles"] == 1
-    assert tuple(summary["warnings"]) == curves.warnings
-    assert "1 vehicle to learn from" in summary["warnings"][0]
+    [warning] = folders.warnings
+    assert (warning.stage, warning.code) == ("finetune", "few_vehicles")
+    assert "1 vehicle to learn from" in warning.message
+    assert "more" in warning.hint
 
 
 def test_no_vehicle_says_how_many_minutes_are_missing(tmp_path: Path) -> None:

@@ -3,9 +3,10 @@ import json
 import numpy as np
 import pytest
 
+from wibam_core.documents.synchronisation import Alternative
 from wibam_core.errors import NoSignalChange
 from wibam_core.scene import SignalChange
-from wibam_core.sync.document import sync_document
+from wibam_core.sync.document import ambiguities, sync_document
 from wibam_core.sync.matching import ChangeGroup, align, match_changes
 from wibam_core.sync.offsets import estimate_clocks
 
@@ -185,6 +186,32 @@ def test_every_change_is_in_one_group_at_most():
     assert len(used) == len(set(used))
     assert all(len(g.seen) >= 2 for g in groups)
     assert [g.time_s for g in groups] == sorted(g.time_s for g in groups)
+
+
+def test_an_ambiguous_clock_is_warned_of_with_the_other_offsets():
+    lights = ("red", "green")
+    seen = {
+        camera_id: [
+            SignalChange(camera_id, "s", round((10.0 + 20.0 * k - offset_s) * 1e9), *lights, 1.0, 10_000_000)
+            for k in range(first, first + 4)
+        ]
+        for camera_id, offset_s, first in (("a", 0.0, 0), ("b", 3.0, 0))
+    }
+    steady = sync_document(seen, estimate_clocks(seen, "a", 50.0))
+    assert steady.cameras["b"].ambiguous is False and ambiguities(steady) == []
+    doubtful = steady.model_copy(
+        update={
+            "cameras": {
+                "b": steady.cameras["b"].model_copy(
+                    update={"ambiguous": True, "alternatives": [Alternative(offset_s=23.0, matched=4)]}
+                )
+            }
+        }
+    )
+    [caution] = ambiguities(doubtful)
+    assert caution.code == "ambiguous_clock"
+    assert "+23.00 s" in caution.message
+    assert caution.details == {"camera": "b", "offset_s": pytest.approx(3.0), "alternatives_s": [23.0]}
 
 
 def test_document_holds_what_the_figures_need():

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import os
 import socket
 import subprocess
@@ -11,8 +12,9 @@ from pathlib import Path
 
 import pytest
 
+from tests.builders import AMBIGUOUS
 from wibam_core.adapters import confine
-from worker.process import Done, Failed, LogLine, Message, Progress, StageProcess, stages_can_be_offline
+from worker.process import Done, Failed, LogLine, Message, Progress, StageProcess, Warned, stages_can_be_offline
 
 
 def start(tmp_path: Path, code: str) -> StageProcess:
@@ -65,6 +67,12 @@ print(json.dumps({"event": "done", "summary": {"n": 1}}), end="")
         assert Done({"n": 1}) in messages
         assert list(process.tail) == ["to the log"]
         assert process.process.returncode == 0
+
+    def test_hears_warnings(self, tmp_path: Path) -> None:
+        line = json.dumps({"event": "warning", "warning": AMBIGUOUS.model_dump()})
+        process = start(tmp_path, f"print({line!r})")
+        assert listen(process) == [Warned(AMBIGUOUS)]
+        process.close()
 
     def test_hears_failures(self, tmp_path: Path) -> None:
         code = """print('{"event": "failed", "error": {"code": "no_overlap"}}'); raise SystemExit(1)"""
@@ -124,6 +132,7 @@ except OSError:
         own = tmp_path / "own"
         own.touch(0o600)
         code = f"""
+import json
 import os
 from wibam_core.adapters import confine
 unshare, write = confine._unshare, confine._write

@@ -6,8 +6,10 @@ import threading
 from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
 import pytest
 
+from tests.builders import AMBIGUOUS
 from tests.recordings import write_recording
 from tests.unit.worker.service import LIMITS, PREFLIGHT, Service, key, run_instead, wait_for
 from wibam_core.adapters.job_rows import StageKey
@@ -18,6 +20,7 @@ from wibam_core.jobs.leases import LeasePolicy
 from wibam_core.jobs.records import EventKind, Job
 from wibam_core.jobs.states import JobState, StageState
 from wibam_core.stages.graph import PlannedStage
+from wibam_core.video.encode import VideoWriter
 from worker.runner import StageRunner
 
 
@@ -81,6 +84,38 @@ class TestRunning:
         service.jobs.restart(job.id, job.options, plan, from_stage=PREFLIGHT)
         service.runner().run(key(job))
         assert service.jobs.job(job.id).stages[0].state is StageState.SUCCEEDED
+
+
+class TestWarnings:
+    def test_are_kept_logged_and_said_again_where_outputs_are_reused(self, service: Service, tmp_path: Path) -> None:
+        recording = tmp_path / "gap.mp4"
+        with VideoWriter(recording, 640, 360, 10.0) as writer:
+            for number in range(40):
+                if not 10 <= number < 25:
+                    writer.write(np.full((360, 640, 3), number, np.uint8), number * 100_000_000)
+        for state in (StageState.SUCCEEDED, StageState.REUSED):
+            job = service.job(recording)
+            service.runner().run(key(job))
+            [stage] = service.jobs.job(job.id).stages
+            assert stage.state is state
+            said = [(warning.stage, warning.code) for warning in stage.warnings]
+            assert said == [(PREFLIGHT, "recording_gap")] * len(job.site.cameras)
+            assert "no frame for 1.6 s" in stage.warnings[0].message
+            assert f"warning: {stage.warnings[0].message}" in service.folder.log(job.id).read_text()
+            last = service.jobs.events(job.id)[0][-2]
+            assert last.data["warnings"][0]["code"] == "recording_gap"
+
+    def test_of_a_stage_that_fails_are_kept(
+        self, service: Service, recording: Path, monkeypatch: pytest.MonkeyPatch
+    ) -> None:
+        job = service.job(recording)
+        warned = {"event": "warning", "warning": AMBIGUOUS.model_dump()}
+        failed = {"event": "failed", "error": {"code": "no_overlap", "message": "too short", "hint": ""}}
+        run_instead(monkeypatch, f"print(json.dumps({warned!r})); print(json.dumps({failed!r})); sys.exit(1)")
+        service.runner().run(key(job))
+        [stage] = service.jobs.job(job.id).stages
+        assert stage.state is StageState.FAILED
+        assert stage.warnings == (AMBIGUOUS,)
 
 
 class TestLeftovers:
