@@ -20,7 +20,7 @@ from wibam_core.errors import ServiceUnavailable
 from wibam_core.jobs.records import Purpose
 from wibam_core.site import Site
 
-#: Formats that need all of a long recording say nothing until they are written.
+#: How long an export may send nothing: some formats are only written once all of a long recording was read.
 _EXPORT_TIMEOUT_S = 600.0
 
 

@@ -41,19 +41,20 @@ from wibam_core.training.augment import compress, jitter_colour
 from wibam_core.training.device import Precision
 from wibam_core.training.views import FloatArray
 
-#: Sites take turns.
+#: Sizes of the recordings of one site after the other, in turn.
 SIZES_PX = ((640, 360), (960, 540), (1280, 720))
 TRAINING_SEED = 220_000
 VALIDATION_SEED = 310_000
 VALIDATION_VIEWS = 120
 
-#: A patch shows so many sides of the true box: room for crops around wrong ones.
+#: A patch is this many times as wide and as high as the true box, so that crops around wrong boxes lie within it.
 _PATCH = 2.4
-#: Patches are kept no larger than that a side of the box is so long, px: a crop shows no more of it.
+#: Patches are shrunk until the longer side of the true box is no longer than this: crops show no more detail.
 _BOX_PX = 80.0
-#: A detector's edges are off by a share of the side, drawn anew for each box up to this s.d., and by this many px.
+#: How wrong the edges of the boxes are that the refiner learns to correct. Their standard deviation is a share of the
+#: side, drawn for each box between 0 and the first number, and the second number in px, added in squares.
 _EDGE_SD_SHARE, _EDGE_SD_PX = 0.12, 0.7
-#: In so many boxes one edge is far off, by up to this share of the side.
+#: In this share of the boxes one edge is far off, by up to that share of the side.
 _FAR_OFF, _FAR_SHARE = 0.15, 0.3
 _WEIGHTS = {"edges": 20.0, "whole": 10.0, "scale": 0.1, "classes": 0.3}
 

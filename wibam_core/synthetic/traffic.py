@@ -33,9 +33,11 @@ Array = NDArray[np.float64]
 
 #: The roads fill for so long before the recording begins.
 WARM_UP_S = 45.0
-#: Of each incoming lane at density 1, and which share of them goes where.
+#: Vehicles that arrive on each incoming lane at density 1.
 ARRIVALS_PER_S = 0.09
+#: The share of them that goes each way.
 SHARES = {"straight": 0.52, "right": 0.20, "left": 0.28}
+#: Of two whose paths cross, the one of the higher rank goes first.
 _RANKS = {"straight": 2, "right": 1, "left": 0}
 
 
