@@ -25,10 +25,11 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from wibam_core.models.frames import Frame, prepare_image, to_input
-from wibam_core.networks.small.architecture import SmallNetwork
+from wibam_core.models.network import predict
+from wibam_core.models.weights import bundled
+from wibam_core.networks.registry import load_network
+from wibam_core.networks.small.network import SmallMonocular
 from wibam_core.networks.small.onnx_network import OnnxNetwork
-from wibam_core.networks.small.predict import RunnableNetwork, predict
-from wibam_core.networks.weights import bundled, load_network
 from wibam_core.placing import Decode
 from wibam_core.synthetic.sampling import sample_views
 
@@ -37,13 +38,16 @@ DECODES: tuple[Decode, ...] = ("fitted", "refined")
 MIN_SCORE = 0.1
 SEED = 900_001
 
+Detector = SmallMonocular | OnnxNetwork
+
 
 @dataclass(frozen=True)
 class Way:
-    """A network, and the images as its input in batches, on its device and in the layout that it takes as it is."""
+    """A network, what of it is the network alone, and the images as its input, in batches as it takes them."""
 
     name: str
-    network: RunnableNetwork
+    detector: Detector
+    network: Callable[[Tensor], object]
     inputs: list[Tensor]
 
     def forward(self) -> None:
@@ -53,6 +57,12 @@ class Way:
                 self.network(batch)
         if self.inputs[0].is_cuda:
             torch.cuda.synchronize()
+
+
+def load_small(path: Path) -> SmallMonocular:
+    network = load_network(path)
+    assert isinstance(network, SmallMonocular), f"{path} holds another network"
+    return network
 
 
 def batches_of(frames: list[Frame], size: int, device: str, layout: torch.memory_format) -> list[Tensor]:
@@ -77,8 +87,8 @@ def measure(
     for number in range(rounds + 2):
         for way in ways:
 
-            def boxes(decode: Decode, network: RunnableNetwork = way.network) -> None:
-                list(predict(network, frames, decode=decode, min_score=MIN_SCORE, batch_size=batch))
+            def boxes(decode: Decode, detector: Detector = way.detector) -> None:
+                list(detector.predict_each(frames, decodes=(decode,), min_score=MIN_SCORE, batch_size=batch))
 
             seconds = {"forward": timed(way.forward, clock)}
             seconds |= {str(decode): timed(partial(boxes, decode), clock) for decode in DECODES}
@@ -106,12 +116,16 @@ def main() -> None:
         Frame(view.image, view.camera, "camera", number)
         for number, view in enumerate(sample_views(SEED, "site", arguments.images, SIZE_PX))
     ]
-    network = load_network(arguments.weights)
+    network = load_small(arguments.weights)
+    exported = OnnxNetwork.of(network.onnx(), 1)
     channels_last = batches_of(frames, arguments.batch, "cpu", torch.channels_last)
     contiguous = batches_of(frames, arguments.batch, "cpu", torch.contiguous_format)
-    ways = [Way("torch", network, channels_last), Way("ONNX Runtime", OnnxNetwork.of(network, 1), contiguous)]
+    ways = [
+        Way("torch", network, network.module, channels_last),
+        Way("ONNX Runtime", exported, exported, contiguous),
+    ]
     taken = measure(ways, frames, arguments.batch, arguments.rounds, time.process_time)
-    found = sum(map(len, predict(ways[1].network, frames, decode="fitted", min_score=MIN_SCORE)))
+    found = sum(map(len, predict(exported, frames, decode="fitted", min_score=MIN_SCORE)))
     size = "x".join(map(str, SIZE_PX))
     print(f"{len(frames)} images of {size} px, {found} vehicles found; 1 thread, batches of {arguments.batch}")
     for way, seconds in taken.items():
@@ -130,8 +144,9 @@ def main() -> None:
 
 
 def _on_gpu(weights: Path, frames: list[Frame], batch: int, rounds: int) -> None:
-    network: SmallNetwork = load_network(weights).cuda()
-    way = Way("GPU", network, batches_of(frames, batch, "cuda", torch.channels_last))
+    network = load_small(weights)
+    network.module.cuda()
+    way = Way("GPU", network, network.module, batches_of(frames, batch, "cuda", torch.channels_last))
     seconds = measure([way], frames, batch, rounds, time.perf_counter)["GPU"]
     by_decode = ", ".join(f"{decode} {spread(len(frames) / seconds[decode])}" for decode in DECODES)
     print(f"GPU           images per second: {by_decode}, the network alone {spread(len(frames) / seconds['forward'])}")

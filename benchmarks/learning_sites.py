@@ -29,11 +29,10 @@ from wibam_core.formats.framestore import FrameStore
 from wibam_core.formats.labels import read_labels
 from wibam_core.geometry.box3d import XY, YAW
 from wibam_core.geometry.se3 import normalise_angle
+from wibam_core.models.network import predict
 from wibam_core.models.stored_frames import stored_frames
-from wibam_core.networks.dla34.architecture import DLA34
-from wibam_core.networks.dla34.centertrack import predict_vehicles
-from wibam_core.networks.small.predict import predict
-from wibam_core.networks.weights import Monocular, bundled, load_monocular
+from wibam_core.models.weights import bundled
+from wibam_core.networks.registry import load_network
 from wibam_core.placing import Decode
 from wibam_core.progress import silent
 from wibam_core.scene import AnnotatedInstant, CameraRig, FrameSet, Vehicles3D
@@ -45,6 +44,7 @@ from wibam_core.training.calibration import sd_factors
 from wibam_core.training.dataset import FRONT_SD_RAD, SiteView, site_views
 from wibam_core.training.device import choose_device_to_detect
 from wibam_core.training.finetune import SiteDataset, finetune
+from wibam_core.training.trainable import TrainableNetwork
 
 #: Sites that were looked at while methods and options were chosen: their figures flatter what was chosen.
 CHOSEN_ON = frozenset({11, 12, 13, 21, 22})
@@ -65,7 +65,7 @@ _Key = tuple[int, str, int]
 class Trained:
     """A network, how its boxes are placed, and what its standard deviations are multiplied with."""
 
-    network: Monocular
+    network: TrainableNetwork
     decode: Decode
     factors: SdFactors
 
@@ -172,15 +172,15 @@ def fitted_by(site: Site, options: Mapping[str, Any]) -> Site:
 
 def untrained(site: Site, decode: Decode) -> Trained:
     """What fine-tuning starts from."""
-    return Trained(load_monocular(site.start), decode, SdFactors())
+    return Trained(load_network(site.start), decode, SdFactors())
 
 
 def finetuned_by_stage(site: Site, options: Mapping[str, Any], lift: Mapping[str, Any] | None = None) -> Trained:
     """Fine-tuned as a job with these options does it; taken from the store where that was done before."""
     config = PipelineConfig.parse({"finetune": dict(options), "lift": dict(lift or {})})
     done = run_pipeline(site.folder, site.store, config, until="finetune").outputs
-    network = load_monocular(done.read(catalogue.WEIGHTS))
-    return Trained(network, config.finetune.decode, SdFactors(**done.read(catalogue.CURVES).sd_factors))
+    network = load_network(done.read(catalogue.WEIGHTS))
+    return Trained(network, network.card.decode, SdFactors(**network.card.sd_factors))
 
 
 def placed(site: Site, trained: Trained, decode: Decode) -> Trained:
@@ -195,7 +195,7 @@ def finetuned_on(
     """Fine-tuned on other views or labels than a job would take."""
     data = SiteDataset(site.frames, site.rig, train, validation)
     with tempfile.TemporaryDirectory() as scratch:
-        network = finetune(load_monocular(site.start), data, config, silent, Path(scratch)).network
+        network = finetune(load_network(site.start), data, config, silent, Path(scratch)).network
     return Trained(network, config.decode, sd_factors(network, data, config.decode))
 
 
@@ -231,11 +231,8 @@ def detections(site: Site, trained: Trained) -> list[Vehicles3D]:
     """Of all frames of the test part; times are the instants."""
     frames = stored_frames(site.frames, site.test_frames, site.rig)
     min_score = EvaluateConfig().min_score
-    if isinstance(trained.network, DLA34):
-        network = trained.network.to(choose_device_to_detect("auto"))
-        found = predict_vehicles(network, frames, decode=trained.decode, min_score=min_score)
-    else:
-        found = predict(trained.network, frames, decode=trained.decode, min_score=min_score)
+    network = trained.network.runnable(choose_device_to_detect("auto"))
+    found = predict(network, frames, decode=trained.decode, min_score=min_score)
     return [trained.factors.apply(vehicles) for vehicles in found]
 
 

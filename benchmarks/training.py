@@ -36,9 +36,11 @@ from wibam_core.formats.framestore import FrameStore, FrameStoreWriter
 from wibam_core.geometry.box3d import XY
 from wibam_core.geometry.torch_ops import CameraTensors, corners, giou, tight_boxes, to_camera
 from wibam_core.models.frames import INPUT_WIDTH_PX, to_input
+from wibam_core.models.weights import bundled
 from wibam_core.networks.dla34.architecture import DLA34
+from wibam_core.networks.dla34.network import CenterTrack
+from wibam_core.networks.registry import load_network
 from wibam_core.networks.small.targets import encode
-from wibam_core.networks.weights import Monocular, bundled, load_network
 from wibam_core.scene import AnnotatedInstant, CameraRig, Detections2D, MultiViewVehicle, Vehicles3D
 from wibam_core.synthetic.cameras import site_cameras
 from wibam_core.synthetic.layout import make_layout
@@ -51,6 +53,7 @@ from wibam_core.training.dataset import ImageCache, site_views
 from wibam_core.training.device import Precision
 from wibam_core.training.finetune import SHAKEN_SHARE, SiteDataset, finetune
 from wibam_core.training.multiview import NEAR_M, OtherCameras, OtherViews, multiview_loss
+from wibam_core.training.trainable import TrainableNetwork
 
 BATCH, SLOTS, VIEWS = 16, 128, 4
 #: Input of the published DLA-34, and the part of it that is measured: cost is linear in pixels and images.
@@ -211,10 +214,14 @@ def benchmark_loss(rounds: int) -> None:
 
 # --- 2 and 3: the training step of the small network --------------------------------------------
 def step_seconds(
-    network: Monocular, dataset: SiteDataset, steps: int, scratch: Path, clock: Callable[[], float], **options: Any
+    network: TrainableNetwork,
+    dataset: SiteDataset,
+    steps: int,
+    scratch: Path,
+    clock: Callable[[], float],
+    **options: Any,
 ) -> float:
     """Median seconds of a training step, once every image is in the cache."""
-    options |= {"network": "custom" if isinstance(network, DLA34) else "small"}
     fill = -(-len(dataset.train) // FinetuneConfig(**options).batch_size)
     config = FinetuneConfig(steps=fill + steps, steps_per_epoch=fill + steps, **options)
     ends: list[float] = []
@@ -256,8 +263,8 @@ def benchmark_step(rounds: int) -> None:
         dataset = make_dataset(scratch / "frames", MOMENTS)
         maker = BatchMaker(dataset, scratch)
         images = maker.make()
-        network, trained = (load_network(bundled("mono_small.safetensors")) for _ in range(2))
-        network = network.train().to(memory_format=torch.channels_last)
+        alone, trained = (load_network(bundled("mono_small.safetensors")) for _ in range(2))
+        network = alone.module.train().to(memory_format=torch.channels_last)  # type: ignore[call-overload]
         precision = Precision.of(torch.device("cpu"))
 
         def bare() -> float:
@@ -316,13 +323,15 @@ def benchmark_memory() -> None:
 # --- on a GPU -----------------------------------------------------------------------------------
 def benchmark_cuda() -> None:
     """Images per second of fine-tuning, batches drawn and losses taken on the CPU as they are."""
-    print("\nFine-tuning on the GPU, batch 16\nnetwork  images/s")
+    print("\nFine-tuning on the GPU, batch 16\nnetwork            images/s")
     with tempfile.TemporaryDirectory() as name:
         dataset = make_dataset(Path(name) / "frames", MOMENTS)
         small = load_network(bundled("mono_small.safetensors"))
-        for title, network in (("small", small), ("DLA-34", DLA34())):
-            seconds = step_seconds(network, dataset, 50, Path(name), time.perf_counter, device="cuda", batch_size=16)
-            print(f"{title:7}  {16 / seconds:8.0f}", flush=True)
+        networks: tuple[tuple[TrainableNetwork, str], ...] = ((small, "small"), (CenterTrack(DLA34()), "custom"))
+        for network, kind in networks:
+            options = {"network": kind, "device": "cuda", "batch_size": 16}
+            seconds = step_seconds(network, dataset, 50, Path(name), time.perf_counter, **options)
+            print(f"{network.card.family:17}  {16 / seconds:8.0f}", flush=True)
 
 
 def main() -> None:

@@ -10,7 +10,7 @@ import pydantic_core
 from pydantic import BaseModel, ConfigDict, Field
 
 from wibam_core.errors import InvalidOption, UnknownOption
-from wibam_core.placing import Decode
+from wibam_core.placing import NEEDS, Decode
 
 #: Where networks run, see `FinetuneConfig.device`.
 DeviceOption = Literal["auto", "cpu", "cuda"]
@@ -151,7 +151,9 @@ class FinetuneConfig(StageConfig):
         description="'lifted': boxes fitted to all views; 'paper': eq. 1 of the published method; 'combined': both",
     )
     network: Literal["small", "custom"] = Field(
-        "small", description="'custom': the site's own network.safetensors (a converted CenterTrack DLA-34)"
+        "small",
+        description="'custom': the site's own network.safetensors: a fine-tuned network of another job, or a converted"
+        " CenterTrack DLA-34",
     )
     decode: Decode = Field(
         default_factory=_usual_decode,
@@ -159,7 +161,8 @@ class FinetuneConfig(StageConfig):
         " ground; 'depth': at the regressed depth; 'fused': by both by their regressed uncertainties; 'ground': where"
         " the ray to the footprint meets the ground; 'fitted': from there, where they agree best with all that the"
         " network says about them, the edges of their 2D boxes included; 'refined': as 'fitted', with edges of a"
-        " second look at each vehicle; unless given, 'refined', or 'plane' where footprints are not learned",
+        " second look at each vehicle; unless given, 'refined', or 'plane' where footprints are not learned or the"
+        " network is 'custom'",
     )
     device: DeviceOption = Field(
         "auto", description="where to train; 'auto': on all CUDA devices that are visible, or else on the CPU"
@@ -169,8 +172,8 @@ class FinetuneConfig(StageConfig):
         ge=320,
         le=1920,
         multiple_of=32,
-        description="'small': how wide the network sees the images; unless given, 640; a step takes as much longer as"
-        " an image has more pixels",
+        description="how wide the network sees the images; unless given, as its file says, 640 for 'small'; a step"
+        " takes as much longer as an image has more pixels",
     )
     steps: int = Field(1200, ge=1, description="gradient steps in all")
     batch_size: int = Field(8, ge=1, description="images per step")
@@ -196,19 +199,8 @@ class FinetuneConfig(StageConfig):
     @pydantic.field_validator("decode")
     @classmethod
     def _can_be_decoded(cls, value: str, info: pydantic.ValidationInfo) -> str:
-        by_footprint = dict.fromkeys(("ground", "fitted", "refined"), "footprints")
-        lacks = {"fused": "uncertainties to fuse by", **by_footprint}.get(value)
-        if lacks and info.data.get("method") == "paper":
-            raise _refusal(f"method 'paper' teaches no {lacks}, only 'plane' and 'depth' are possible")
-        if lacks and info.data.get("network") == "custom":
-            raise _refusal(f"network 'custom' has no {lacks}, only 'plane' and 'depth' are possible")
-        return value
-
-    @pydantic.field_validator("input_width_px")
-    @classmethod
-    def _can_be_chosen(cls, value: int | None, info: pydantic.ValidationInfo) -> int | None:
-        if value is not None and info.data.get("network") == "custom":
-            raise _refusal("network 'custom' sees images as CenterTrack does, 800 px at the longer side")
+        if value in NEEDS and info.data.get("method") == "paper":
+            raise _refusal(f"method 'paper' teaches no {NEEDS[value]}, only 'plane' and 'depth' are possible")
         return value
 
     @pydantic.field_validator(*_METHODS_WITH)

@@ -3,30 +3,28 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import replace
 from pathlib import Path
 from typing import Annotated
 
 import numpy as np
+import torch
 import typer
 from numpy.typing import NDArray
 from rich.console import Console
+from rich.markup import escape
 from rich.progress import track as show_progress
 from rich.table import Table
 
 from wibam_core.config import TrackConfig
 from wibam_core.documents.recordings import VideoInfo
-from wibam_core.errors import CalibrationError, InvalidWeights, MissingCamera
-from wibam_core.evaluation.uncertainty import GROUPS, SdFactors
+from wibam_core.errors import CalibrationError, MissingCamera
+from wibam_core.evaluation.uncertainty import SdFactors
 from wibam_core.formats.rig import read_rig
 from wibam_core.formats.tracks import write_tracks
 from wibam_core.geometry.box3d import SIZE, XY
 from wibam_core.geometry.camera import Camera
-from wibam_core.models.usage import Usage
-from wibam_core.networks.dla34.architecture import DLA34
-from wibam_core.networks.dla34.convert import LICENCE_NOTE
-from wibam_core.networks.small.onnx_network import OnnxNetwork
-from wibam_core.networks.weights import bundled, load_monocular, usage_of
+from wibam_core.models.weights import bundled
+from wibam_core.networks.registry import family_of, load_to_detect
 from wibam_core.scene import Track
 from wibam_core.tracking.recording import track_recording
 from wibam_core.tracking.uncalibrated import nominal_camera
@@ -68,39 +66,21 @@ def track(
         seen_by = nominal_camera(info.width_px, info.height_px, horizon_px=horizon)
     else:
         seen_by = _calibrated(calibration, camera, info)
-    network, usage = _network(weights or bundled("mono_small.safetensors"))
+    network = load_to_detect(weights or bundled("mono_small.safetensors"), torch.device("cpu"))
+    card = network.card
     if weights is None and calibration is not None:  # edges tell where a vehicle is if it is known whence they are seen
-        usage = replace(usage, decode="refined")
-    factors = _factors(usage)
-    if isinstance(network, DLA34):
-        console.print(f"[yellow]{LICENCE_NOTE}[/]", highlight=False)
-        console.print(
-            "CenterTrack's DLA-34 takes a second or more per frame on a CPU; a lower --rate helps.", highlight=False
-        )
+        card = card.model_copy(update={"decode": "refined"})
+    if card.licence is not None:
+        console.print(f"[yellow]{escape(card.licence)}[/]", highlight=False)
+    advice = family_of(card.family).advice
+    if advice is not None:
+        console.print(advice, highlight=False)
     config = TrackConfig(rate_hz=rate, min_score=min_score)
     images = _images(video, info, rate, console)
-    tracks = track_recording(network, images, seen_by, config, decode=usage.decode, factors=factors)
+    tracks = track_recording(network, images, seen_by, config, decode=card.decode, factors=SdFactors(**card.sd_factors))
     write_tracks(out, tracks)
     console.print(_table(tracks, "nominal m" if calibration is None else "m"))
     console.print(f"{len(tracks)} tracks: [bold]{out}[/]", highlight=False)
-
-
-def _network(path: Path) -> tuple[OnnxNetwork | DLA34, Usage]:
-    if path.suffix == ".onnx":
-        exported = OnnxNetwork.load(path)
-        return exported, exported.usage
-    network = load_monocular(path)
-    return network if isinstance(network, DLA34) else OnnxNetwork.of(network), usage_of(path)
-
-
-def _factors(usage: Usage) -> SdFactors:
-    unknown = sorted(usage.sd_factors.keys() - GROUPS.keys())
-    if unknown:
-        raise InvalidWeights(
-            f"the weights' sd_factors name {', '.join(unknown)}, but there are only {', '.join(GROUPS)}",
-            field="sd_factors",
-        )
-    return SdFactors(**usage.sd_factors)
 
 
 def _calibrated(path: Path, camera_id: str | None, info: VideoInfo) -> Camera:

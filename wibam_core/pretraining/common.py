@@ -21,6 +21,8 @@ from torch.utils.data import DataLoader, IterableDataset, get_worker_info
 
 from wibam_core.errors import NonFiniteLoss
 from wibam_core.geometry.camera import Camera
+from wibam_core.models.classes import ClassChannels
+from wibam_core.networks.small.architecture import CLASS_NAMES
 from wibam_core.networks.small.targets import Targets, encode
 from wibam_core.scene import Vehicles3D
 from wibam_core.synthetic.sampling import Regime, RenderedView, sample_views
@@ -42,6 +44,9 @@ LOG = "log.jsonl"
 _KEPT_EMPTY = 5
 _WARM_UP_STEPS = 200
 _GRADIENT_CLIP = 5.0
+
+#: Channel of each class in the networks that are made here; they are taught nothing else.
+_CHANNEL_OF = ClassChannels.of("the bundled networks", CLASS_NAMES).channel_of
 
 _NO_IMAGE = np.zeros((0, 0, 3), np.uint8)
 
@@ -164,7 +169,10 @@ class Batch:
 
     @classmethod
     def of(cls, views: list[LabelledView]) -> Batch:
-        return cls(torch.from_numpy(np.stack([view.image for view in views])), encode(views))
+        return cls(
+            torch.from_numpy(np.stack([view.image for view in views])),
+            encode([replace(view, classes=_CHANNEL_OF[view.classes]) for view in views]),
+        )
 
     def to(self, device: torch.device) -> Batch:
         return self if device.type == "cpu" else Batch(self.images.to(device), self.targets.to(device))

@@ -19,10 +19,11 @@ import numpy as np
 from torch import Tensor
 
 from wibam_core.models.frames import Frame, to_input
+from wibam_core.models.network import predict
+from wibam_core.networks.registry import read_card, save_network
 from wibam_core.networks.small.architecture import SmallNetwork
 from wibam_core.networks.small.losses import LossWeights, lifted_loss
-from wibam_core.networks.small.predict import predict
-from wibam_core.networks.weights import load_network, save_network
+from wibam_core.networks.small.network import SmallMonocular
 from wibam_core.placing import Decode
 from wibam_core.pretraining.common import (
     LOG,
@@ -100,9 +101,10 @@ def losses(network: SmallNetwork, batch: Batch) -> dict[str, Tensor]:
 def measure_views(network: SmallNetwork, views: list[RenderedView], decode: Decode) -> dict[str, float]:
     """Figures within 40 m on rendered views."""
     frames = (Frame(view.image, view.camera, str(index), index) for index, view in enumerate(views))
+    found = predict(SmallMonocular(network), frames, decode=decode, min_score=_MIN_SCORE)
 
     def results() -> Iterator[ViewResult]:
-        for view, predicted in zip(views, predict(network, frames, decode=decode, min_score=_MIN_SCORE), strict=True):
+        for view, predicted in zip(views, found, strict=True):
             taught = labelled(view)
             centre = view.camera.centre_m[:2]
 
@@ -125,7 +127,8 @@ def main() -> None:
     parser.add_argument("--start", type=Path, help="weights to go on from; with --steps 0 they are only measured")
     arguments = parser.parse_args()
     device = prepare(arguments)
-    network = load_network(arguments.start) if arguments.start else SmallNetwork()
+    start = arguments.start
+    network = SmallMonocular.load(start, read_card(start)).module if start else SmallNetwork()
     validation = render(VALIDATION_SEED, "ego", arguments.views, _MEASURED_PX)
     site = render(SITE_REPORT_SEED, "site", arguments.views, _MEASURED_PX)
     plan = PoolPlan.within(
@@ -147,7 +150,7 @@ def main() -> None:
         }
 
     def checkpoint(averaged: SmallNetwork, step: int) -> dict[str, Any]:
-        save_network(averaged, arguments.out / "mono_small.safetensors")
+        save_network(SmallMonocular(averaged), arguments.out / "mono_small.safetensors")
         return figures(averaged)
 
     if arguments.steps == 0:

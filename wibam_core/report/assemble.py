@@ -16,6 +16,7 @@ from wibam_core.documents.calibration import CalibrationResiduals
 from wibam_core.documents.conflicts import Conflicts
 from wibam_core.documents.curves import Curves
 from wibam_core.documents.metrics import Metrics
+from wibam_core.documents.model_card import ModelCard
 from wibam_core.documents.recordings import Probe
 from wibam_core.documents.split import SUBSETS
 from wibam_core.documents.statistics import LiftStatistics
@@ -23,6 +24,7 @@ from wibam_core.documents.synchronisation import Synchronisation as Changes
 from wibam_core.evaluation.labels_at import LabelTimeline
 from wibam_core.formats.framestore import FrameStore
 from wibam_core.formats.labels import read_labels
+from wibam_core.formats.model_card import read_card
 from wibam_core.report.bev import BoxesInstant, ClusteredInstant
 from wibam_core.report.charts import Bars, Curve, Delay, Histogram
 from wibam_core.report.data import (
@@ -97,7 +99,11 @@ def assemble(
         synchronisation=_synchronisation(inputs.read(catalogue.CHANGES)),
         calibration=_calibration(inputs.read(catalogue.RESIDUALS)),
         dataset=_dataset(inputs),
-        training=_training(inputs.read(catalogue.CURVES), inputs.read(catalogue.LIFT_STATISTICS)),
+        training=_training(
+            inputs.read(catalogue.CURVES),
+            read_card(inputs.read(catalogue.WEIGHTS)),
+            inputs.read(catalogue.LIFT_STATISTICS),
+        ),
         metrics=metrics,
         tracks=tuple(tracks),
         conflicts=tuple(conflicts.conflicts),
@@ -191,7 +197,7 @@ def _by_number(counts: documents.Histogram) -> dict[str, int]:
     return {f"{edge:.0f}": count for edge, count in zip(counts.edges, counts.counts, strict=False)}
 
 
-def _training(curves: Curves, lifts: LiftStatistics) -> Training:
+def _training(curves: Curves, card: ModelCard, lifts: LiftStatistics) -> Training:
     steps = [epoch.step for epoch in curves.epochs]
     totals = (
         _curve("training", steps, [epoch.train for epoch in curves.epochs], "total"),
@@ -199,14 +205,16 @@ def _training(curves: Curves, lifts: LiftStatistics) -> Training:
     )
     names = dict.fromkeys(name for epoch in curves.epochs for name in epoch.train if name != "total")
     facts = [
-        ("method", _METHODS.get(curves.method, curves.method)),
-        ("placing of boxes", _DECODES.get(curves.decode, curves.decode)),
+        ("method", _METHODS.get(card.method or "", "none")),
+        ("placing of boxes", _DECODES[card.decode]),
         ("steps", f"{curves.epochs[-1].step} in {len(curves.epochs)} epochs"),
         ("weights kept", f"{_KEPT.get(curves.kept, curves.kept)} (step {curves.kept_step})"),
         ("multi-view fits", f"{lifts.kept} of {lifts.fits} good enough to train on, of {lifts.tracks} vehicles"),
     ]
-    if curves.input_width_px is not None:
-        facts.insert(2, ("images as the network sees them", f"{curves.input_width_px} px wide"))
+    if card.input_width_px is not None:
+        facts.insert(2, ("images as the network sees them", f"{card.input_width_px} px wide"))
+    if card.licence is not None:
+        facts.append(("terms of the weights that it began with", card.licence))
     if lifts.residual is not None:
         facts.append(("median residual of the fits", f"{lifts.residual.p50:.3f} (mean 1 − GIoU over the views)"))
     parts = tuple(_curve(name.replace("_", " "), steps, [e.train for e in curves.epochs], name) for name in names)

@@ -4,12 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
-from pathlib import Path
 from typing import Any
 
 from wibam_core.artifacts.catalogue import (
     ANNOTATIONS,
-    CURVES,
     FRAMES,
     METRICS,
     PREDICTIONS_BASELINE,
@@ -18,7 +16,7 @@ from wibam_core.artifacts.catalogue import (
     SPLIT,
     WEIGHTS,
 )
-from wibam_core.config import DeviceOption, EvaluateConfig
+from wibam_core.config import EvaluateConfig
 from wibam_core.documents.metrics import DetectorFigures, LabelledInstants, Metrics, Reliability
 from wibam_core.errors import TooFewInstants
 from wibam_core.evaluation.evaluate import Evaluation, evaluate
@@ -31,12 +29,10 @@ from wibam_core.evaluation.summary import by_class, by_distance, by_elevation, b
 from wibam_core.evaluation.uncertainty import SdFactors
 from wibam_core.formats.framestore import FrameStore
 from wibam_core.formats.labels import read_labels
+from wibam_core.models.network import Network
 from wibam_core.models.stored_frames import stored_frames
-from wibam_core.networks.dla34.architecture import DLA34
-from wibam_core.networks.dla34.centertrack import predict_vehicles_each
-from wibam_core.networks.small.onnx_network import OnnxNetwork
-from wibam_core.networks.small.predict import predict_each
-from wibam_core.networks.weights import bundled, load_monocular
+from wibam_core.models.weights import bundled
+from wibam_core.networks.registry import family_of, load_to_detect
 from wibam_core.placing import Decode
 from wibam_core.progress import Progress, part
 from wibam_core.scene import CameraRig, FrameSet, Vehicles3D
@@ -62,15 +58,14 @@ class _Detector:
     """A network under test.
 
     Attributes:
+        network: as it runs.
         decodes: name of a method -> how its boxes are placed.
         factors: what its standard deviations are multiplied with.
-        input_width_px: how wide it sees images; None: as the weights say.
     """
 
-    weights: Path
+    network: Network
     decodes: Mapping[str, Decode]
     factors: SdFactors
-    input_width_px: int | None = None
 
 
 def run(context: StageContext, config: EvaluateConfig) -> Summary:
@@ -83,21 +78,25 @@ def run(context: StageContext, config: EvaluateConfig) -> Summary:
         TooFewInstants: the test part holds no instant with a frame.
         InvalidLabels: the labels cannot be read.
     """
-    rig, store, curves = context.read(RIG), context.read(FRAMES), context.read(CURVES)
+    rig, store = context.read(RIG), context.read(FRAMES)
     labels = LabelTimeline(read_labels(context.assets["labels"])) if "labels" in context.assets else None
     instants = _test_instants(context, store, labels)
-    start = context.assets["network"] if curves.network == "custom" else bundled("mono_small.safetensors")
-    decode, factors = curves.decode, SdFactors(**curves.sd_factors)
-    baselines = {"baseline": decode, **{f"baseline_{way}": way for way in _PUBLISHED if way != decode}}
+    tuned = load_to_detect(context.read(WEIGHTS))
+    card, factors = tuned.card, SdFactors(**tuned.card.sd_factors)
+    start = context.assets["network"] if card.start == "custom" else bundled("mono_small.safetensors")
+    device = choose_device_to_detect(card.device or "auto")
+    baseline = load_to_detect(start, device, card.input_width_px)  # the same images for both
+    decodes = family_of(card.family).decodes
+    published = {f"baseline_{way}": way for way in _PUBLISHED if way != card.decode and way in decodes}
     detectors = (
-        _Detector(start, baselines, SdFactors(), curves.input_width_px),  # the same images for all
-        _Detector(context.read(WEIGHTS), {"finetuned": decode}, factors),
+        _Detector(baseline, {"baseline": card.decode, **published}, SdFactors()),
+        _Detector(tuned, {"finetuned": card.decode}, factors),
     )
     predictions: dict[str, list[Vehicles3D]] = {}
     for number, detector in enumerate(detectors):
         progress = part(context.progress, number / len(detectors), (number + 1) / len(detectors))
         min_score = min(_KEPT_SCORE, config.min_score)
-        predictions |= _detect(detector, store, instants, rig, min_score, curves.device, progress)
+        predictions |= _detect(detector, store, instants, rig, min_score, progress)
     context.write(PREDICTIONS_BASELINE, predictions["baseline"])
     context.write(PREDICTIONS_FINETUNED, predictions["finetuned"])
     metrics = _metrics(context, config, instants, predictions, labels, factors)
@@ -124,20 +123,13 @@ def _detect(
     instants: Sequence[FrameSet],
     rig: CameraRig,
     min_score: float,
-    trained_on: DeviceOption,
     progress: Progress,
 ) -> dict[str, list[Vehicles3D]]:
     """Name of a method -> its detections, one `Vehicles3D` per frame."""
-    network = load_monocular(detector.weights)
     frames = stored_frames(store, instants, rig)
     total = sum(len(rig.keys() & instant.frame_times_ns.keys()) for instant in instants)
     decodes = tuple(detector.decodes.values())
-    if isinstance(network, DLA34):
-        network.to(choose_device_to_detect(trained_on))
-        detected = predict_vehicles_each(network, frames, decodes=decodes, min_score=min_score)
-    else:
-        network.input_width_px = detector.input_width_px or network.input_width_px
-        detected = predict_each(OnnxNetwork.of(network), frames, decodes=decodes, min_score=min_score)
+    detected = detector.network.predict_each(frames, decodes=decodes, min_score=min_score)
     found: dict[str, list[Vehicles3D]] = {name: [] for name in detector.decodes}
     for number, ways in enumerate(detected, 1):
         for of_method, vehicles in zip(found.values(), ways, strict=True):

@@ -8,56 +8,53 @@ from wibam_core.artifacts.catalogue import ANNOTATIONS, CURVES, FITS, FRAMES, RI
 from wibam_core.config import FinetuneConfig
 from wibam_core.dataset.sufficiency import Sufficiency, training_sufficiency
 from wibam_core.documents.curves import Curves
-from wibam_core.models.frames import INPUT_WIDTH_PX
-from wibam_core.models.usage import Usage
-from wibam_core.networks.small.architecture import SmallNetwork
-from wibam_core.networks.small.export import export_small
-from wibam_core.networks.weights import bundled, load_centertrack, load_network, origin_of, save_network
+from wibam_core.models.weights import bundled
+from wibam_core.networks.registry import load_to_train, save_network
 from wibam_core.stages.base import StageContext, Summary
 from wibam_core.training.calibration import sd_factors
 from wibam_core.training.dataset import SiteView, site_views
 from wibam_core.training.device import choose_device
 from wibam_core.training.finetune import FinetuneResult, SiteDataset, finetune
+from wibam_core.training.trainable import TrainableNetwork
 
 
 def run(context: StageContext, config: FinetuneConfig) -> Summary:
-    """Write `WEIGHTS`, for the small network `WEIGHTS_ONNX`, too, and `CURVES`.
+    """Write `WEIGHTS`, where the network's family has ONNX files `WEIGHTS_ONNX`, too, and `CURVES`.
 
-    The weights say themselves how boxes are to be placed and by how much their standard deviations err: see `Usage`.
+    The weights carry a `ModelCard`: what they are, and how they are to be used.
     """
     choose_device(config.device)  # before anything is read
     custom = config.network == "custom"
     start = context.assets["network"] if custom else bundled("mono_small.safetensors")
-    network = load_centertrack(start) if custom else load_network(start)
-    dataset, enough = _dataset(context, config)
+    network = load_to_train(start, config)
+    dataset, enough = _dataset(context, config, network)
     enough.require_any()
     context.warn(*enough.cautions)
     result = finetune(network, dataset, config, context.progress, context.scratch)
-    factors = asdict(sd_factors(result.network, dataset, config.decode))
-    usage = Usage(config.decode, factors)
-    save_network(result.network, context.new_file(WEIGHTS), origin_of(start) | usage.metadata())
-    if isinstance(result.network, SmallNetwork):
-        export_small(result.network, context.new_file(WEIGHTS_ONNX), usage)
-    curves = Curves(
-        method=config.method,
-        decode=config.decode,
-        network=config.network,
-        input_width_px=None if custom else dataset.input_width_px,
-        device=config.device,
-        sd_factors=factors,
-        kept=result.kept,
-        kept_step=result.kept_step,
-        epochs=list(result.epochs),
+    network.card = network.card.model_copy(
+        update={
+            "decode": config.decode,
+            "sd_factors": asdict(sd_factors(network, dataset, config.decode)),
+            "start": config.network,
+            "method": config.method,
+            "device": config.device,
+        }
     )
-    context.write(CURVES, curves)
+    save_network(network, context.new_file(WEIGHTS))
+    exported = network.onnx()
+    if exported is not None:
+        context.new_file(WEIGHTS_ONNX).write_bytes(exported)
+    context.write(CURVES, Curves(kept=result.kept, kept_step=result.kept_step, epochs=list(result.epochs)))
     return _summary(dataset, result) | {"vehicles": enough.vehicles}
 
 
-def _dataset(context: StageContext, config: FinetuneConfig) -> tuple[SiteDataset, Sufficiency]:
+def _dataset(
+    context: StageContext, config: FinetuneConfig, network: TrainableNetwork
+) -> tuple[SiteDataset, Sufficiency]:
     rig, frames = context.read(RIG), context.read(FRAMES)
     instants, fits, split = context.read(ANNOTATIONS), context.read(FITS), context.read(SPLIT)
 
-    width_px = config.input_width_px or INPUT_WIDTH_PX
+    width_px = network.view_width_px
     complete = config.method != "paper"  # which learns from detections alone
 
     def subset(name: str) -> list[SiteView]:

@@ -104,7 +104,7 @@ _SPECS = (
         site_part=_sizes,
         reads_recordings=True,
         assets=("labels", "network"),
-        asset_checks=frozenset({"formats.labels", "networks.weights"}),
+        asset_checks=frozenset({"formats.labels", "networks.registry"}),
     ),
     StageSpec("sync", "Synchronise the cameras", (catalogue.PROBE,), _signals, reads_recordings=True),
     StageSpec("calibrate", "Calibrate the cameras", (), _calibration),
@@ -128,13 +128,13 @@ _SPECS = (
     StageSpec(
         "evaluate",
         "Evaluate",
-        (catalogue.RIG, catalogue.FRAMES, catalogue.ANNOTATIONS, catalogue.SPLIT, catalogue.WEIGHTS, catalogue.CURVES),
+        (catalogue.RIG, catalogue.FRAMES, catalogue.ANNOTATIONS, catalogue.SPLIT, catalogue.WEIGHTS),
         assets=("labels", "network"),
     ),
     StageSpec(
         "track",
         "Track in 7DoF",
-        (catalogue.RIG, catalogue.FRAMES, catalogue.WEIGHTS, catalogue.CURVES),
+        (catalogue.RIG, catalogue.FRAMES, catalogue.WEIGHTS),
     ),
     StageSpec("safety", "Find conflicts", (catalogue.TRACKS,)),
     StageSpec(
@@ -152,6 +152,7 @@ _SPECS = (
             catalogue.SPLIT,
             catalogue.DATASET_STATISTICS,
             catalogue.LIFT_STATISTICS,
+            catalogue.WEIGHTS,
             catalogue.CURVES,
             catalogue.METRICS,
             catalogue.PREDICTIONS_BASELINE,

@@ -78,10 +78,10 @@ def _measure(camera_id: str, path: Path) -> tuple[VideoInfo, NDArray[np.int64]]:
 
 
 def _check_network(path: Path) -> None:
-    from wibam_core.networks.weights import load_centertrack  # torch takes seconds to import
+    from wibam_core.networks.registry import load_network  # torch takes seconds to import
 
     try:
-        load_centertrack(path)
+        load_network(path)
     except InvalidWeights as error:
         raise InvalidWeights(f"the site's network: {error.message}", hint=error.hint, **error.details) from error
 

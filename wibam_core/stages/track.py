@@ -5,35 +5,26 @@ from __future__ import annotations
 from collections import Counter
 from itertools import groupby
 
-from wibam_core.artifacts.catalogue import CURVES, FRAMES, RIG, TRACKS, WEIGHTS
+from wibam_core.artifacts.catalogue import FRAMES, RIG, TRACKS, WEIGHTS
 from wibam_core.config import TrackConfig
 from wibam_core.evaluation.uncertainty import SdFactors
+from wibam_core.models.network import predict
 from wibam_core.models.stored_frames import stored_frames
-from wibam_core.networks.dla34.architecture import DLA34
-from wibam_core.networks.dla34.centertrack import predict_vehicles
-from wibam_core.networks.small.onnx_network import OnnxNetwork
-from wibam_core.networks.small.predict import predict
-from wibam_core.networks.weights import load_monocular
+from wibam_core.networks.registry import load_to_detect
 from wibam_core.stages.base import StageContext, Summary
 from wibam_core.tracking.tracker import Tracker
-from wibam_core.training.device import choose_device_to_detect
 
 
 def run(context: StageContext, config: TrackConfig) -> Summary:
     """Write `TRACKS`: every vehicle at ``config.rate_hz``, with no track where nothing was seen."""
-    rig, store, curves = context.read(RIG), context.read(FRAMES), context.read(CURVES)
-    factors = SdFactors(**curves.sd_factors)
+    rig, store, network = context.read(RIG), context.read(FRAMES), load_to_detect(context.read(WEIGHTS))
+    factors = SdFactors(**network.card.sd_factors)
     instants = store.thinned(config.rate_hz)
     frame_times = {instant.time_ns: instant.frame_times_ns for instant in instants}
     total = sum(len(rig.keys() & instant.frame_times_ns.keys()) for instant in instants)
     tracker = Tracker(config)
-    network = load_monocular(context.read(WEIGHTS))
     frames = stored_frames(store, instants, rig)
-    if isinstance(network, DLA34):
-        network.to(choose_device_to_detect(curves.device))
-        found = predict_vehicles(network, frames, decode=curves.decode, min_score=config.min_score)
-    else:
-        found = predict(OnnxNetwork.of(network), frames, decode=curves.decode, min_score=config.min_score)
+    found = predict(network, frames, decode=network.card.decode, min_score=config.min_score)
     done = 0
     for time_ns, detections in groupby(found, key=lambda vehicles: vehicles.time_ns):
         of_instant = [factors.apply(vehicles) for vehicles in detections]

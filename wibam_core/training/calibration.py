@@ -18,13 +18,12 @@ from wibam_core.evaluation.matching import match_on_ground
 from wibam_core.evaluation.metrics import box_errors
 from wibam_core.evaluation.uncertainty import SdFactors
 from wibam_core.models.frames import Frame
-from wibam_core.networks.small.architecture import SmallNetwork
-from wibam_core.networks.small.predict import predict
-from wibam_core.networks.weights import Monocular
+from wibam_core.models.network import predict
 from wibam_core.placing import Decode
 from wibam_core.scene import Vehicles3D
 from wibam_core.training.dataset import SiteView
 from wibam_core.training.finetune import SiteDataset
+from wibam_core.training.trainable import TrainableNetwork
 
 #: Looked at, at most, evenly spread.
 _MAX_VIEWS = 240
@@ -34,7 +33,7 @@ _MIN_SCORE = EvaluateConfig().min_score
 _MATCH_DISTANCE_M = 4.0
 
 
-def sd_factors(network: Monocular, dataset: SiteDataset, decode: Decode) -> SdFactors:
+def sd_factors(network: TrainableNetwork, dataset: SiteDataset, decode: Decode) -> SdFactors:
     """What the network's standard deviations are to be multiplied with; 1 for a network that states none.
 
     Args:
@@ -42,7 +41,7 @@ def sd_factors(network: Monocular, dataset: SiteDataset, decode: Decode) -> SdFa
         dataset: only its validation part is looked at.
         decode: how boxes are placed.
     """
-    if not isinstance(network, SmallNetwork):
+    if not network.states_sd:
         return SdFactors()
     views = dataset.validation[:: max(1, -(-len(dataset.validation) // _MAX_VIEWS))]
     return factors_from_fits(

@@ -19,9 +19,6 @@ from wibam_core.documents.curves import Epoch
 from wibam_core.errors import NoMultiViewVehicles, NonFiniteLoss, StageOutOfMemory, TooFewInstants
 from wibam_core.formats.framestore import FrameStore
 from wibam_core.geometry.camera import Camera
-from wibam_core.networks.registry import trainable_of
-from wibam_core.networks.small.architecture import SmallNetwork
-from wibam_core.networks.weights import Monocular
 from wibam_core.progress import Progress, silent
 from wibam_core.scene import CameraRig
 from wibam_core.training.augment import jitter_colour, mirror, shake
@@ -72,16 +69,22 @@ class SiteDataset:
 
 @dataclass(frozen=True, eq=False)
 class FinetuneResult:
-    """The fine-tuned network, on the CPU in evaluation mode, all epochs' losses, and which one's weights were kept."""
+    """What a training ends with.
 
-    network: Monocular
+    Attributes:
+        network: fine-tuned, on the CPU in evaluation mode; its card is still what it began with.
+        epochs: losses of all.
+        kept, kept_step: which weights.
+    """
+
+    network: TrainableNetwork
     epochs: tuple[Epoch, ...]
     kept: Literal["last", "best"]
     kept_step: int
 
 
 def finetune(
-    network: Monocular, dataset: SiteDataset, config: FinetuneConfig, progress: Progress, scratch: Path
+    network: TrainableNetwork, dataset: SiteDataset, config: FinetuneConfig, progress: Progress, scratch: Path
 ) -> FinetuneResult:
     """Train ``network`` in place and return it.
 
@@ -110,7 +113,7 @@ def finetune(
 def finetune_on(
     devices: int,
     precision: Precision,
-    network: Monocular,
+    network: TrainableNetwork,
     dataset: SiteDataset,
     config: FinetuneConfig,
     progress: Progress,
@@ -118,25 +121,26 @@ def finetune_on(
 ) -> FinetuneResult:
     """As `finetune`, by so many processes with a device each; the batch size is a multiple of their number."""
     _check(dataset, config)
-    if isinstance(network, SmallNetwork):
-        network.input_width_px = dataset.input_width_px
     scratch.mkdir(parents=True, exist_ok=True)
     if devices == 1:
         alone = Ranks(0, 1, precision.device)
         result = _trained(_Training(network, dataset, config, scratch, precision, alone), progress)
-        return replace(result, network=result.network.cpu())
-    structure = copy.deepcopy(network).to("meta")  # the weights go to the helpers by themselves
+        network.module.cpu()
+        return result
+    structure = copy.deepcopy(network)
+    structure.module.to("meta")  # the weights go to the helpers by themselves
     arguments = (structure, dataset.frames, dict(dataset.rig), dataset.train, config, scratch, precision)
     twin = copy.deepcopy(network)  # its batch normalisation becomes another
     with helpers(devices, precision.device, scratch / "rendezvous", _help_out, arguments) as ranks:
         result = _trained(_Training(twin, dataset, config, scratch, precision, ranks), progress)
-    network.load_state_dict(result.network.state_dict())
-    return replace(result, network=network.cpu().eval())
+    network.module.load_state_dict(result.network.module.state_dict())
+    network.module.cpu().eval()
+    return replace(result, network=network)
 
 
 def _help_out(
     ranks: Ranks,
-    structure: Monocular,
+    network: TrainableNetwork,
     frames: FrameStore,
     cameras: dict[str, Camera],
     train: Sequence[SiteView],
@@ -145,7 +149,7 @@ def _help_out(
     precision: Precision,
 ) -> None:
     dataset = SiteDataset(frames, CameraRig(cameras), train, [])
-    network = structure.to_empty(device=ranks.device)
+    network.module.to_empty(device=ranks.device)
     _trained(_Training(network, dataset, config, scratch, precision, ranks), silent)
 
 
@@ -167,8 +171,8 @@ def _check(dataset: SiteDataset, config: FinetuneConfig) -> None:
         raise NoMultiViewVehicles("no vehicle in the training part of the split could be placed in 3D from two cameras")
 
 
-def _schedule(config: FinetuneConfig, trainable: TrainableNetwork) -> LearningRateSchedule:
-    rate = config.learning_rate or trainable.default_rates[config.method]
+def _schedule(config: FinetuneConfig, network: TrainableNetwork) -> LearningRateSchedule:
+    rate = config.learning_rate or network.default_rates[config.method]
     return PlateauSchedule(rate) if config.method == "paper" else CosineSchedule(rate, config.steps)
 
 
@@ -177,7 +181,7 @@ class _Training:
 
     def __init__(
         self,
-        network: Monocular,
+        network: TrainableNetwork,
         dataset: SiteDataset,
         config: FinetuneConfig,
         scratch: Path,
@@ -188,20 +192,20 @@ class _Training:
         self._config = config
         self._precision = replace(precision, device=ranks.device)
         self._ranks = ranks
-        ranks.synchronise(network.to(ranks.device))
-        self._network = network.to(memory_format=torch.channels_last)  # type: ignore[call-overload]
-        self._trainable = trainable_of(self._network, config)
+        ranks.synchronise(network.module.to(ranks.device))
+        self._network = network
+        self._module = network.module.to(memory_format=torch.channels_last)  # type: ignore[call-overload]
         self._checkpoint = scratch / "checkpoint.pt"
         self._train = dataset.train
         stride = max(1, -(-len(dataset.validation) // _MAX_VALIDATION_VIEWS))
         self._validation = dataset.validation[::stride] if ranks.is_first else []
         own = scratch if ranks.is_first else scratch / f"helper{ranks.rank}"
         own.mkdir(exist_ok=True)
-        self._train_view = self._trainable.reader(own / "train.npy", self._train, dataset.frames)
-        self._validation_view = self._trainable.reader(own / "validation.npy", self._validation, dataset.frames)
+        self._train_view = self._network.reader(own / "train.npy", self._train, dataset.frames)
+        self._validation_view = self._network.reader(own / "validation.npy", self._validation, dataset.frames)
         self._others = OtherCameras(dataset.rig, config.own_view, dataset.input_width_px)
-        self._schedule = _schedule(config, self._trainable)
-        self._optimizer = torch.optim.AdamW(self._network.parameters(), lr=1.0, weight_decay=_WEIGHT_DECAY)
+        self._schedule = _schedule(config, network)
+        self._optimizer = torch.optim.AdamW(self._module.parameters(), lr=1.0, weight_decay=_WEIGHT_DECAY)
         self._scaler = self._precision.scaler()
         self._epochs: list[Epoch] = []
         self._best_step = 0
@@ -222,7 +226,7 @@ class _Training:
         rate = self._schedule.rate(self.step)
         sums: dict[str, float] = {}
         first = self.step
-        self._network.train()
+        self._module.train()
         while self.step < end:
             parts = self._train_step()
             for name, value in parts.items():
@@ -238,7 +242,7 @@ class _Training:
             return
         if judged <= min(_judged(epoch) for epoch in self._epochs):
             self._best_step = self.step
-            self._best_state = {name: value.clone() for name, value in self._network.state_dict().items()}
+            self._best_state = {name: value.clone() for name, value in self._module.state_dict().items()}
         if validation:
             progress(self.step / config.steps, f"epoch {number} of {count}", validation_loss=validation["total"])
         self._write_checkpoint()
@@ -268,9 +272,9 @@ class _Training:
             group["lr"] = self._schedule.rate(self.step)
         self._optimizer.zero_grad(set_to_none=True)
         self._scaler.scale(loss.to(self._precision.device)).backward()
-        self._ranks.add_gradients(self._network.parameters())
+        self._ranks.add_gradients(self._module.parameters())
         self._scaler.unscale_(self._optimizer)
-        nn.utils.clip_grad_norm_(self._network.parameters(), _GRADIENT_CLIP)
+        nn.utils.clip_grad_norm_(self._module.parameters(), _GRADIENT_CLIP)
         self._scaler.step(self._optimizer)
         self._scaler.update()
 
@@ -279,9 +283,9 @@ class _Training:
     ) -> dict[str, Tensor]:
         """Of a batch of which this process runs the network on a ``share``, and the others on theirs."""
         with self._precision.autocast():
-            own = self._trainable.forward(views, share)
+            own = self._network.maps(views, share)
         maps = own if share == _WHOLE else self._ranks.gather(own)
-        return self._trainable.losses(maps, views, self._others.of(sources, mirrored))
+        return self._network.losses(maps, views, self._others.of(sources, mirrored), self._config)
 
     def _draw(self) -> tuple[list[int], np.random.Generator]:
         """The numbers of this step's views, from a fresh shuffle every time all were seen, and its generator.
@@ -305,7 +309,7 @@ class _Training:
         )
 
     def _validate(self) -> dict[str, float]:
-        self._network.eval()
+        self._module.eval()
         sums: dict[str, float] = {}
         size = self._config.batch_size
         starts = range(0, len(self._validation), size)
@@ -325,7 +329,7 @@ class _Training:
         state: dict[str, Any] = {
             "config": self._config.model_dump(),
             "step": self.step,
-            "network": self._network.state_dict(),
+            "network": self._module.state_dict(),
             "optimizer": self._optimizer.state_dict(),
             "scaler": self._scaler.state_dict(),
             "schedule": asdict(self._schedule),
@@ -340,7 +344,7 @@ class _Training:
         state = read_checkpoint(self._checkpoint)
         if state is None or state["config"] != self._config.model_dump():
             return
-        self._network.load_state_dict(state["network"])
+        self._module.load_state_dict(state["network"])
         self._optimizer.load_state_dict(state["optimizer"])
         if state["scaler"]:
             self._scaler.load_state_dict(state["scaler"])
@@ -354,9 +358,10 @@ class _Training:
         last, best = _judged(self._epochs[-1]), min(_judged(epoch) for epoch in self._epochs)
         worse = bool(self._epochs[-1].validation) and last > best + _TOLERATED_RISE * abs(best)
         if worse:
-            self._network.load_state_dict(self._best_state)
+            self._module.load_state_dict(self._best_state)
+        self._module.eval()
         return FinetuneResult(
-            self._network.eval(),
+            self._network,
             tuple(self._epochs),
             "best" if worse else "last",
             self._best_step if worse else self.step,

@@ -1,6 +1,6 @@
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from itertools import islice
 from pathlib import Path
 
@@ -13,22 +13,25 @@ from tests.builders import corner_rig
 from tests.recordings import write_recording
 from wibam_core.cli.app import app
 from wibam_core.config import TrackConfig
+from wibam_core.documents.model_card import ModelCard
 from wibam_core.errors import CalibrationError, InvalidWeights, MissingCamera
 from wibam_core.evaluation.uncertainty import SdFactors
 from wibam_core.formats.rig import write_rig
 from wibam_core.formats.tracks import read_tracks
 from wibam_core.models.frames import Frame
-from wibam_core.models.usage import Usage
+from wibam_core.models.network import Network
+from wibam_core.models.weights import bundled
 from wibam_core.networks.dla34.architecture import DLA34
 from wibam_core.networks.dla34.convert import convert_checkpoint
+from wibam_core.networks.dla34.network import CenterTrack
+from wibam_core.networks.registry import load_network, save_network
 from wibam_core.networks.small.architecture import UNCERTAINTY_GROUPS, SmallNetwork
-from wibam_core.networks.small.export import export_small
+from wibam_core.networks.small.export import small_onnx
+from wibam_core.networks.small.network import CARD, SmallMonocular
 from wibam_core.networks.small.onnx_network import OnnxNetwork
-from wibam_core.networks.weights import bundled, load_centertrack, load_network, save_network
 from wibam_core.placing import Decode
 from wibam_core.road_users import RoadUserClass
 from wibam_core.scene import Track, Vehicles3D
-from wibam_core.tracking import recording
 from wibam_core.tracking.recording import track_recording
 from wibam_core.video.decode import decode
 from wibam_core.video.encode import VideoWriter
@@ -85,7 +88,9 @@ def test_a_camera_or_shape_that_does_not_fit_is_refused(tmp_path: Path) -> None:
 
 def test_a_model_may_be_onnx(video: Path, tmp_path: Path) -> None:
     torch.set_num_threads(1)
-    export_small(load_network(bundled("mono_small.safetensors")), tmp_path / "model.onnx")
+    exported = load_network(bundled("mono_small.safetensors")).onnx()
+    assert exported is not None
+    (tmp_path / "model.onnx").write_bytes(exported)
     out = tmp_path / "tracks.parquet"
     run(video, "--out", out, "--rate", "2", "--weights", tmp_path / "model.onnx")
     assert read_tracks(out) == []
@@ -121,7 +126,7 @@ def seeing_network() -> SmallNetwork:
     return network
 
 
-def expected(network: OnnxNetwork | DLA34, still: Path, how: Decode, factors: SdFactors = SdFactors()) -> list[Track]:
+def expected(network: Network, still: Path, how: Decode, factors: SdFactors = SdFactors()) -> list[Track]:
     config = TrackConfig(rate_hz=8.0, min_score=0.3)
     camera = corner_rig(2)["cam1"]
     return track_recording(network, decode(still), camera, config, decode=how, factors=factors)
@@ -144,25 +149,23 @@ def test_a_model_is_used_as_it_says(still: Path, tmp_path: Path, suffix: str) ->
     network = seeing_network()
     write_rig(tmp_path / "rig.json", corner_rig(2))
 
-    def tracks(usage: Usage | None) -> list[Track]:
+    def tracks(card: ModelCard = CARD) -> list[Track]:
         weights, out = tmp_path / f"model.{suffix}", tmp_path / "tracks.parquet"
         if suffix == "onnx":
-            export_small(network, weights, usage)
+            weights.write_bytes(small_onnx(network, card))
         else:
-            save_network(network, weights, {} if usage is None else usage.metadata())
+            save_network(SmallMonocular(network, card), weights)
         run(still, "--out", out, "--rate", "8", "--weights", weights, "--calibration", tmp_path / "rig.json")
         return read_tracks(out)
 
-    ours = OnnxNetwork.of(network)
+    ours = OnnxNetwork.of(small_onnx(network, CARD))
     plane, depth = expected(ours, still, "plane"), expected(ours, still, "depth")
     assert places(plane) != places(depth)
     unsure = expected(ours, still, "depth", SdFactors(position=3.0))
     assert np.median(unsure[0].sd[:, 0]) > 1.5 * np.median(depth[0].sd[:, 0])
-    assert_same(tracks(None), plane)
-    assert_same(tracks(Usage("depth")), depth)
-    assert_same(tracks(Usage("depth", {"position": 3.0})), unsure)
-    with pytest.raises(InvalidWeights, match="sd_factors name width"):
-        tracks(Usage("plane", {"width": 2.0}))
+    assert_same(tracks(), plane)
+    assert_same(tracks(CARD.model_copy(update={"decode": "depth"})), depth)
+    assert_same(tracks(CARD.model_copy(update={"decode": "depth", "sd_factors": {"position": 3.0}})), unsure)
 
 
 @pytest.fixture(scope="module")
@@ -203,13 +206,17 @@ def test_a_fine_tuned_dla34_is_used_as_it_says(
 ) -> None:
     used: list[str] = []
 
-    def nothing(network: DLA34, frames: Iterable[Frame], *, min_score: float, decode: str) -> Iterator[Vehicles3D]:
-        used.append(decode)
+    def nothing(
+        network: CenterTrack, frames: Iterable[Frame], *, decodes: Sequence[str], min_score: float
+    ) -> Iterator[tuple[Vehicles3D, ...]]:
+        used.extend(decodes)
         for frame in frames:
-            yield Vehicles3D.of(frame.time_ns, np.zeros((0, 7)), camera_id=frame.camera_id)
+            yield (Vehicles3D.of(frame.time_ns, np.zeros((0, 7)), camera_id=frame.camera_id),)
 
-    monkeypatch.setattr(recording, "predict_vehicles", nothing)
-    save_network(load_centertrack(centertrack), tmp_path / "plane.safetensors", Usage("plane").metadata())
+    monkeypatch.setattr(CenterTrack, "predict_each", nothing)
+    trained = load_network(centertrack)
+    trained.card = trained.card.model_copy(update={"decode": "plane"})
+    save_network(trained, tmp_path / "plane.safetensors")
     for weights in (centertrack, tmp_path / "plane.safetensors"):
         run(still, "--out", tmp_path / "tracks.parquet", "--rate", "2", "--weights", weights)
     assert used == ["depth", "plane"]

@@ -9,7 +9,7 @@ from typer.testing import CliRunner
 from wibam_core.cli.app import app
 from wibam_core.errors import InvalidWeights
 from wibam_core.networks.dla34.architecture import DLA34
-from wibam_core.networks.weights import load_monocular
+from wibam_core.networks.registry import load_network
 
 
 def run(*arguments: str | Path) -> str:
@@ -29,7 +29,7 @@ def test_a_checkpoint_is_converted_and_its_licence_told(tmp_path: Path) -> None:
     assert "left out: velocity" in said
     assert "non-commercial use only" in said
     assert "SHA-256 of nuScenes_3Ddetection_e140.pth:" in said
-    loaded = load_monocular(out).state_dict()
+    loaded = load_network(out).module.state_dict()
     assert all(torch.equal(loaded[name], network.state_dict()[name]) for name in loaded)
 
 

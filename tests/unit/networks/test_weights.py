@@ -6,25 +6,29 @@ from pydantic import ValidationError
 from safetensors.torch import load_file, save_file
 
 from wibam_core.config import FinetuneConfig
+from wibam_core.documents.model_card import ModelCard
 from wibam_core.errors import InvalidWeights
+from wibam_core.formats.model_card import INPUT_WIDTHS_PX, card_of, metadata_of
 from wibam_core.models.frames import INPUT_WIDTH_PX
-from wibam_core.models.usage import INPUT_WIDTHS_PX, Usage, input_width_metadata, read_input_width
-from wibam_core.networks.dla34.architecture import DLA34
+from wibam_core.models.weights import bundled
+from wibam_core.networks.dla34.network import CARD as CENTERTRACK
+from wibam_core.networks.registry import load_network, read_card, save_network
 from wibam_core.networks.small.architecture import SmallNetwork
-from wibam_core.networks.weights import bundled, centertrack_metadata, load_network, metadata, save_network, usage_of
+from wibam_core.networks.small.network import CARD, SmallMonocular
+from wibam_core.networks.small.onnx_network import DECODES
 
 
 @pytest.fixture(scope="module")
 def saved(tmp_path_factory: pytest.TempPathFactory) -> Path:
     torch.manual_seed(0)
     path = tmp_path_factory.mktemp("weights") / "network.safetensors"
-    save_network(SmallNetwork(), path)
+    save_network(SmallMonocular(SmallNetwork()), path)
     return path
 
 
 def test_what_is_saved_is_loaded(saved: Path) -> None:
     torch.manual_seed(0)
-    original, loaded = SmallNetwork().state_dict(), load_network(saved).state_dict()
+    original, loaded = SmallNetwork().state_dict(), load_network(saved).module.state_dict()
     assert original.keys() == loaded.keys()
     assert all(torch.equal(original[name], loaded[name]) for name in original)
     assert not list(saved.parent.glob("*.tmp"))
@@ -42,7 +46,7 @@ def rewritten(saved: Path, folder: Path, **changes: torch.Tensor | None) -> Path
             del state[key]
         else:
             state[key] = value
-    save_file(state, str(folder / "changed.safetensors"), metadata=metadata())
+    save_file(state, str(folder / "changed.safetensors"), metadata=metadata_of(CARD))
     return folder / "changed.safetensors"
 
 
@@ -84,39 +88,59 @@ def test_bundled_files_are_there_and_load() -> None:
         bundled("nothing.safetensors")
 
 
-@pytest.mark.parametrize("usage", [Usage("fused", {"position": 1.7, "yaw": 0.8}), Usage("depth")])
-def test_a_file_says_how_it_is_to_be_used(tmp_path: Path, usage: Usage) -> None:
-    save_network(SmallNetwork(), tmp_path / "network.safetensors", usage.metadata())
-    assert usage_of(tmp_path / "network.safetensors") == usage
-    load_network(tmp_path / "network.safetensors")
+@pytest.mark.parametrize(
+    "card",
+    [
+        CARD.model_copy(update={"decode": "fused", "sd_factors": {"position": 1.7, "yaw": 0.8}, "licence": "gratis"}),
+        CARD.model_copy(update={"decode": "depth", "input_width_px": 960, "classes": ("bus", "car"), "version": "2"}),
+        CARD.model_copy(update={"start": "custom", "method": "paper", "device": "cuda", "source_sha256": "ab"}),
+    ],
+)
+def test_a_file_says_what_its_network_is(tmp_path: Path, card: ModelCard) -> None:
+    module = SmallNetwork(mean_sizes_m=[(4.0, 2.0, 1.5)] * len(card.classes))
+    save_network(SmallMonocular(module, card), tmp_path / "network.safetensors")
+    assert read_card(tmp_path / "network.safetensors") == card
+    assert load_network(tmp_path / "network.safetensors").card == card
+
+
+def test_the_same_network_gives_the_same_bytes(tmp_path: Path) -> None:
+    card = CARD.model_copy(update={"licence": "gratis", "method": "paper", "device": "cpu", "source_name": "ours.pth"})
+    module = SmallNetwork()
+    files = []
+    for number in range(5):
+        save_network(SmallMonocular(module, card), tmp_path / f"{number}.safetensors")
+        files.append((tmp_path / f"{number}.safetensors").read_bytes())
+    assert len(set(files)) == 1
 
 
 def test_a_file_says_how_wide_its_network_sees_images(saved: Path, tmp_path: Path) -> None:
-    network = SmallNetwork()
-    network.input_width_px = 960
-    save_network(network, tmp_path / "network.safetensors", {"input_width_px": "320"})
-    assert load_network(tmp_path / "network.safetensors").input_width_px == 960
-    assert load_network(bundled("mono_small.safetensors")).input_width_px == INPUT_WIDTH_PX  # it does not say
-    save_file(load_file(str(saved)), str(tmp_path / "odd.safetensors"), metadata=metadata() | {"input_width_px": "650"})
+    assert load_network(saved, 960).card.input_width_px == 960
+    assert read_card(bundled("mono_small.safetensors")).input_width_px is None  # it does not say
+    assert load_network(bundled("mono_small.safetensors")).card.input_width_px == INPUT_WIDTH_PX
+    said = metadata_of(CARD) | {"input_width_px": "650"}
+    save_file(load_file(str(saved)), str(tmp_path / "odd.safetensors"), metadata=said)
     with pytest.raises(InvalidWeights, match="input_width_px is '650', not a multiple of 32"):
         load_network(tmp_path / "odd.safetensors")
 
 
 def test_files_and_options_know_the_same_widths() -> None:
+    def read(width_px: int) -> int | None:
+        return card_of("file", {"family": "any", "input_width_px": str(width_px)}, DECODES).input_width_px
+
     for width_px in (INPUT_WIDTHS_PX[0], INPUT_WIDTHS_PX[-1]):
-        said = input_width_metadata(width_px)
-        assert FinetuneConfig(input_width_px=width_px).input_width_px == read_input_width("file", said) == width_px
+        assert FinetuneConfig(input_width_px=width_px).input_width_px == read(width_px) == width_px
     for width_px in (INPUT_WIDTHS_PX[0] - 32, INPUT_WIDTHS_PX[-1] + 32, 650):
         with pytest.raises(ValidationError):
             FinetuneConfig(input_width_px=width_px)
         with pytest.raises(InvalidWeights):
-            read_input_width("file", input_width_metadata(width_px))
+            read(width_px)
 
 
 def test_what_a_file_does_not_say_is_its_familys_usual_way(saved: Path, tmp_path: Path) -> None:
-    assert usage_of(saved) == usage_of(bundled("mono_small.safetensors")) == Usage("plane")
-    save_network(DLA34(), tmp_path / "network.safetensors")
-    assert usage_of(tmp_path / "network.safetensors") == Usage("depth")
+    assert read_card(bundled("mono_small.safetensors")) == CARD.model_copy(update={"input_width_px": None})
+    said = {key: value for key, value in metadata_of(CENTERTRACK).items() if key != "decode"}
+    save_file({"any": torch.zeros(1)}, str(tmp_path / "network.safetensors"), metadata=said)
+    assert read_card(tmp_path / "network.safetensors").decode == "depth"
 
 
 @pytest.mark.parametrize(
@@ -128,16 +152,29 @@ def test_what_a_file_does_not_say_is_its_familys_usual_way(saved: Path, tmp_path
         ({"sd_factors": '{"yaw": "2"}'}, "sd_factors is"),
         ({"sd_factors": '{"yaw": 0}'}, "sd_factors is"),
         ({"sd_factors": '{"yaw": NaN}'}, "sd_factors is"),
+        ({"sd_factors": '{"width": 2.0}'}, "sd_factors names width, but there are only position, z, size, yaw"),
+        ({"device": "tpu"}, "device is 'tpu', not one of auto, cpu, cuda"),
+        ({"start": "scratch"}, "start is 'scratch', not one of small, custom"),
     ],
 )
-def test_a_usage_that_cannot_be_is_refused(tmp_path: Path, said: dict[str, str], why: str) -> None:
-    save_file({"any": torch.zeros(1)}, str(tmp_path / "network"), metadata=metadata() | said)
+def test_a_card_that_cannot_be_is_refused(tmp_path: Path, said: dict[str, str], why: str) -> None:
+    save_file({"any": torch.zeros(1)}, str(tmp_path / "network"), metadata=metadata_of(CARD) | said)
     with pytest.raises(InvalidWeights, match=why):
-        usage_of(tmp_path / "network")
+        read_card(tmp_path / "network")
 
 
 def test_a_dla34_has_no_uncertainties_to_fuse_by(tmp_path: Path) -> None:
-    said = centertrack_metadata() | Usage("fused").metadata()
+    said = metadata_of(CENTERTRACK) | {"decode": "fused"}
     save_file({"any": torch.zeros(1)}, str(tmp_path / "network"), metadata=said)
     with pytest.raises(InvalidWeights, match="not one of depth, plane"):
-        usage_of(tmp_path / "network")
+        read_card(tmp_path / "network")
+
+
+@pytest.mark.parametrize(
+    ("classes", "why"),
+    [("car,hovercraft", "knows a class 'hovercraft', which we do not"), ("car,car", "names a class twice"), ("", "''")],
+)
+def test_classes_that_cannot_be_are_refused(saved: Path, tmp_path: Path, classes: str, why: str) -> None:
+    save_file(load_file(str(saved)), str(tmp_path / "network"), metadata=metadata_of(CARD) | {"classes": classes})
+    with pytest.raises(InvalidWeights, match=why):
+        load_network(tmp_path / "network")

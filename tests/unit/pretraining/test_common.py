@@ -11,8 +11,8 @@ import torch
 
 from wibam_core.models.detector2d import Detector2D
 from wibam_core.models.export import export_detector2d
+from wibam_core.networks.registry import load_network
 from wibam_core.networks.small.architecture import SmallNetwork
-from wibam_core.networks.weights import load_network
 from wibam_core.pretraining import detector, monocular
 from wibam_core.pretraining.common import Batch, PoolPlan, ViewPool, batches
 
@@ -81,7 +81,7 @@ def test_the_scripts_train(script: object, device: str, tmp_path: Path, monkeypa
         assert start == again != made
         return
     torch.manual_seed(0)
-    before, after = SmallNetwork().heads, load_network(tmp_path / "mono_small.safetensors").heads
+    before, after = SmallNetwork().heads, load_network(tmp_path / "mono_small.safetensors").module.heads
     moved = [
         float((one - two).abs().max().detach())
         for one, two in zip(before.parameters(), after.parameters(), strict=True)

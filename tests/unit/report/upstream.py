@@ -5,6 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 import numpy as np
+from safetensors.numpy import save_file
 
 from tests.builders import corner_rig
 from tests.stage_folders import StageFolders
@@ -18,10 +19,12 @@ from wibam_core.dataset.statistics import dataset_statistics
 from wibam_core.documents.calibration import CalibrationResiduals
 from wibam_core.documents.curves import Curves, Epoch
 from wibam_core.documents.metrics import Metrics
+from wibam_core.documents.model_card import ModelCard
 from wibam_core.documents.recordings import Probe, VideoInfo
 from wibam_core.documents.statistics import DetectionStatistics, LiftStatistics, ResidualPercentiles
 from wibam_core.formats.framestore import FrameStoreWriter
 from wibam_core.formats.labels import write_labels
+from wibam_core.formats.model_card import metadata_of
 from wibam_core.geometry.projection import project_boxes
 from wibam_core.road_users import CLASSES
 from wibam_core.safety.conflicts import find_conflicts
@@ -164,18 +167,9 @@ def _give_learning(made: StageFolders) -> None:
         )
         for k in (1, 2, 3)
     ]
-    curves = Curves(
-        method="lifted",
-        decode="plane",
-        network="small",
-        device="auto",
-        sd_factors={},
-        input_width_px=704,
-        kept="last",
-        kept_step=150,
-        epochs=epochs,
-    )
-    made.give(catalogue.CURVES, curves)
+    made.give(catalogue.CURVES, Curves(kept="last", kept_step=150, epochs=epochs))
+    card = ModelCard(family="any", classes=("car",), decode="plane", method="lifted", input_width_px=704)
+    save_file({"any": np.zeros(1)}, made.place(catalogue.WEIGHTS), metadata_of(card))
 
 
 def _write_labels(root: Path, rig: CameraRig, tracks: list[Track]) -> Path:

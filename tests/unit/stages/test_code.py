@@ -23,9 +23,18 @@ ROOT = Path(__file__).resolve().parents[3]
 
 @cache
 def imported(stage: str) -> tuple[frozenset[str], frozenset[str]]:
-    """What Python's own finder says that a stage's module imports: modules of the core, and libraries."""
+    """What Python's own finder says that a stage's module imports: modules of the core, and libraries.
+
+    It is told of the modules that registries name, which are imported by what they hold.
+    """
     finder = ModuleFinder(path=[str(ROOT)])  # so that it follows nothing else
     finder.run_script(str(ROOT / "wibam_core" / "stages" / f"{stage}.py"))
+    followed = 0
+    while followed < len(finder.modules):
+        followed = len(finder.modules)
+        for name in [name for name in finder.modules if name.rpartition(".")[2] == "registry"]:
+            for package in import_module(name).FAMILIES.values():
+                finder.import_hook(package)
     modules = {name for name in finder.modules if name.partition(".")[0] == "wibam_core"}
     libraries = {name.partition(".")[0] for name in finder.badmodules}
     return frozenset(modules), frozenset(libraries - sys.stdlib_module_names - {"wibam_core"})

@@ -5,7 +5,6 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-import safetensors
 import torch
 from safetensors.torch import load_file, save_file
 
@@ -15,11 +14,11 @@ from tests.stage_folders import StageFolders
 from wibam_core.artifacts import catalogue
 from wibam_core.config import EvaluateConfig, FinetuneConfig, PipelineConfig, PreflightConfig, TrackConfig
 from wibam_core.errors import InvalidOption, InvalidWeights, UnreadableVideo
+from wibam_core.formats.model_card import metadata_of, read_card
 from wibam_core.models.frames import Frame
-from wibam_core.networks.dla34 import train as dla34
 from wibam_core.networks.dla34.architecture import DLA34
-from wibam_core.networks.small.architecture import SmallNetwork
-from wibam_core.networks.weights import centertrack_metadata, load_centertrack, save_network, usage_of
+from wibam_core.networks.dla34.network import CARD, CenterTrack
+from wibam_core.networks.registry import load_network, save_network
 from wibam_core.scene import Vehicles3D
 from wibam_core.stages import evaluate, finetune, preflight, track
 from wibam_core.stages.runner import SiteFolder, StageUpdate, run_pipeline
@@ -28,9 +27,17 @@ from wibam_core.stages.store import StageStore
 CUSTOM = FinetuneConfig(network="custom", steps=1, batch_size=1, steps_per_epoch=1)
 
 
+#: Options that CenterTrack's network has no use for, and what is said about them.
+UNABLE: tuple[tuple[dict[str, Any], str], ...] = (
+    ({"decode": "fused"}, r"option finetune\.decode: .* has no uncertainties to fuse by, only 'plane' and 'depth' are"),
+    ({"decode": "ground"}, r"option finetune\.decode: network 'custom' has no footprints"),
+    ({"input_width_px": 960}, r"option finetune\.input_width_px: network 'custom' sees images as CenterTrack does"),
+)
+
+
 @pytest.fixture(autouse=True)
 def _small_input_and_one_thread(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(dla34, "LONG_SIDE_PX", 64)
+    monkeypatch.setattr(CenterTrack, "long_side_px", 64)
     torch.set_num_threads(1)
 
 
@@ -38,7 +45,8 @@ def _small_input_and_one_thread(monkeypatch: pytest.MonkeyPatch) -> None:
 def weights(tmp_path_factory: pytest.TempPathFactory) -> Path:
     path = tmp_path_factory.mktemp("weights") / "network.safetensors"
     torch.manual_seed(0)
-    save_network(DLA34(), path, {"licence": "for trying out", "source_name": "theirs.pth"})
+    card = CARD.model_copy(update={"licence": "for trying out", "source_name": "theirs.pth"})
+    save_network(CenterTrack(DLA34(), card), path)
     return path
 
 
@@ -53,35 +61,38 @@ def test_it_is_fine_tuned_compared_and_tracked_with(
     site, assets = site_of(tiny_rig()), {"network": weights}
     finetune.run(folders.context("finetune", site, assets=assets), CUSTOM)
     tuned = folders.read(catalogue.WEIGHTS)
-    after, before = load_centertrack(tuned), load_centertrack(weights)
-    assert not torch.equal(after.hm[2].bias, before.hm[2].bias)
-    with safetensors.safe_open(str(tuned), "pt") as file:
-        assert {"licence": "for trying out", "source_name": "theirs.pth"}.items() <= file.metadata().items()
-    assert usage_of(tuned).decode == "plane"
-    assert folders.read(catalogue.CURVES).network == "custom"
+    after, before = biases(tuned), biases(weights)
+    assert not torch.equal(after, before)
+    card = read_card(tuned)
+    assert (card.licence, card.source_name) == ("for trying out", "theirs.pth")
+    assert (card.start, card.decode) == ("custom", "plane")
+    assert not folders.place(catalogue.WEIGHTS_ONNX).exists()
 
     used: list[tuple[float, tuple[str, ...]]] = []
 
-    def nothing_each(
-        network: DLA34, frames: Iterable[Frame], *, min_score: float, decodes: tuple[str, ...]
+    def nothing(
+        network: CenterTrack, frames: Iterable[Frame], *, decodes: tuple[str, ...], min_score: float
     ) -> Iterator[tuple[Vehicles3D, ...]]:
-        used.append((float(network.hm[2].bias[0].detach()), decodes))
+        used.append((float(network.module.hm[2].bias[0].detach()), decodes))
         for frame in frames:
             nothing = Vehicles3D.of(frame.time_ns, torch.zeros(0, 7).numpy(), camera_id=frame.camera_id)
             yield (nothing,) * len(decodes)
 
-    def nothing(network: DLA34, frames: Iterable[Frame], *, min_score: float, decode: str) -> Iterator[Vehicles3D]:
-        return (found for (found,) in nothing_each(network, frames, min_score=min_score, decodes=(decode,)))
-
-    folders.give(catalogue.CURVES, folders.read(catalogue.CURVES).model_copy(update={"device": "cuda"}))
+    trained_elsewhere = load_network(tuned)
+    trained_elsewhere.card = card.model_copy(update={"device": "cuda"})
+    save_network(trained_elsewhere, tuned)
     monkeypatch.setattr(torch.cuda, "is_available", lambda: False)
-    monkeypatch.setattr(evaluate, "predict_vehicles_each", nothing_each)
-    monkeypatch.setattr(track, "predict_vehicles", nothing)
+    monkeypatch.setattr(CenterTrack, "predict_each", nothing)
     evaluate.run(folders.context("evaluate", site, assets=assets), EvaluateConfig())
-    start, end = (float(one.hm[2].bias[0].detach()) for one in (before, after))
+    start, end = float(before[0]), float(after[0])
     assert used == [(start, ("plane", "depth")), (end, ("plane",))]
     track.run(folders.context("track", site), TrackConfig())
     assert used[2:] == [(end, ("plane",))]
+
+
+def biases(path: Path) -> torch.Tensor:
+    """Of the heat."""
+    return load_file(str(path))["hm.2.bias"]
 
 
 def test_what_cannot_be_used_is_refused_before_anything_is_read(tmp_path: Path, weights: Path) -> None:
@@ -90,23 +101,25 @@ def test_what_cannot_be_used_is_refused_before_anything_is_read(tmp_path: Path, 
         with pytest.raises(error, match=said):
             finetune.run(nothing.context("finetune", site_of(tiny_rig()), assets=assets), config)
 
-    save_network(SmallNetwork(), tmp_path / "small")
-    refused(InvalidWeights, "family is 'wibam-small', not 'centertrack-dla34'", network=tmp_path / "small")
+    save_file({"any": torch.zeros(1)}, str(tmp_path / "other"), metadata={"family": "other"})
+    refused(InvalidWeights, "family is 'other', not 'wibam-small' or", network=tmp_path / "other")
     changed: dict[str, Any] = load_file(str(weights))
     changed["dep.2.bias"] = torch.zeros(2)
-    save_file(changed, str(tmp_path / "changed"), metadata=centertrack_metadata())
+    save_file(changed, str(tmp_path / "changed"), metadata=metadata_of(CARD))
     refused(InvalidWeights, r"tensor dep.2.bias has shape \(2,\), not \(1,\)", network=tmp_path / "changed")
+    for options, why in UNABLE:
+        refused(InvalidOption, why, CUSTOM.model_copy(update=options), network=weights)
     if not torch.cuda.is_available():
         refused(InvalidOption, "no CUDA device", FinetuneConfig(device="cuda"))
 
 
 def test_one_that_cannot_be_used_is_refused_by_the_first_stage(tmp_path: Path) -> None:
     (tmp_path / "video").write_bytes(b"no video")
-    save_network(SmallNetwork(), tmp_path / "network")
+    save_file({"any": torch.zeros(1)}, str(tmp_path / "network"), metadata={"family": "other"})
     recordings = dict.fromkeys(site_of().camera_ids, tmp_path / "video")
     folder = SiteFolder(site_of(), recordings, {"network": tmp_path / "network"})
     custom = PipelineConfig.parse({"finetune": {"network": "custom"}})
-    with pytest.raises(InvalidWeights, match="the site's network: network: family is 'wibam-small'"):
+    with pytest.raises(InvalidWeights, match="the site's network: network: family is 'other'"):
         run_pipeline(folder, StageStore(tmp_path / "store"), custom)
     with pytest.raises(UnreadableVideo):  # nothing reads it
         run_pipeline(folder, StageStore(tmp_path / "store"), PipelineConfig())
@@ -115,7 +128,7 @@ def test_one_that_cannot_be_used_is_refused_by_the_first_stage(tmp_path: Path) -
 def test_preflight_names_the_first_tensor_that_does_not_fit(tmp_path: Path, weights: Path) -> None:
     changed: dict[str, Any] = load_file(str(weights))
     del changed["dep.2.bias"]
-    save_file(changed, str(tmp_path / "changed"), metadata=centertrack_metadata())
+    save_file(changed, str(tmp_path / "changed"), metadata=metadata_of(CARD))
     site, folders = site_of(tiny_rig()), StageFolders(tmp_path / "stages")
     there = dict.fromkeys(site.camera_ids, tmp_path / "changed")
     with pytest.raises(InvalidWeights, match=r"the site's network: changed lacks the tensor dep\.2\.bias"):
@@ -137,8 +150,3 @@ def test_a_device_that_is_not_there_is_refused_before_the_first_stage(
     assert updates == []
     with pytest.raises(UnreadableVideo):  # what does not train needs no device
         run_pipeline(folder, StageStore(tmp_path / "store"), config, updates.append, until="sync")
-
-
-def test_it_states_no_uncertainties_to_fuse_by() -> None:
-    with pytest.raises(InvalidOption, match="no uncertainties"):
-        PipelineConfig.parse({"finetune": {"network": "custom", "decode": "fused"}})

@@ -15,7 +15,6 @@ from tests.builders import corner_rig, site_of
 from tests.stage_folders import StageFolders
 from wibam_core.artifacts import catalogue
 from wibam_core.config import EvaluateConfig, TrackConfig
-from wibam_core.documents.curves import Curves
 from wibam_core.documents.metrics import Metrics, Reliability
 from wibam_core.documents.split import SUBSETS, Split
 from wibam_core.errors import TooFewInstants
@@ -24,8 +23,10 @@ from wibam_core.formats.framestore import FrameStoreWriter
 from wibam_core.formats.labels import write_labels
 from wibam_core.geometry.projection import project_boxes
 from wibam_core.models.frames import Frame
+from wibam_core.networks.registry import save_network
 from wibam_core.networks.small.architecture import SmallNetwork
-from wibam_core.networks.weights import save_network
+from wibam_core.networks.small.network import CARD, SmallMonocular
+from wibam_core.networks.small.onnx_network import OnnxNetwork
 from wibam_core.road_users import RoadUserClass
 from wibam_core.scene import AnnotatedInstant, Detections2D, LabelledInstant, MultiViewVehicle, Track, Vehicles3D
 from wibam_core.stages import evaluate, track
@@ -66,12 +67,6 @@ def each(predict: Callable[..., Iterator[Vehicles3D]]) -> Callable[..., Iterator
     return placed
 
 
-#: What fine-tuning said of a network that is placed by the plane.
-CURVES = Curves(
-    method="lifted", decode="plane", network="small", device="auto", sd_factors={}, kept="last", kept_step=1, epochs=[]
-)
-
-
 class Job(StageFolders):
     """The stages up to fine-tuning, and the hand labels."""
 
@@ -91,8 +86,10 @@ class Job(StageFolders):
         times: dict[str, tuple[int, ...]] = {"train": tuple(train), "val": (), "test": tuple(test)}
         self.give(catalogue.SPLIT, Split(times_ns=times, left_out_tracks=nobody))
 
-    def curves(self, **changes: Any) -> None:
-        self.give(catalogue.CURVES, CURVES.model_copy(update=changes))
+    def finetuned(self, **said: Any) -> None:
+        """Weights whose card says this; placed by the plane unless it says otherwise."""
+        network = SmallMonocular(SmallNetwork(), CARD.model_copy(update=said))
+        save_network(network, self.place(catalogue.WEIGHTS))
 
 
 @pytest.fixture
@@ -114,8 +111,7 @@ def job(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Job:
         annotated.append(AnnotatedInstant(time, detections, vehicles))
     job.give(catalogue.ANNOTATIONS, annotated)
     job.split(INSTANTS[:10], TEST)
-    save_network(SmallNetwork(), job.place(catalogue.WEIGHTS))
-    job.curves()
+    job.finetuned()
     job.labels = tmp_path / "labels"  # without a suffix, as an uploaded file may be stored
     write_labels(
         job.labels,
@@ -124,8 +120,7 @@ def job(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Job:
             for time in [*INSTANTS, INSTANTS[-1] + PERIOD_NS]
         ],
     )
-    monkeypatch.setattr(evaluate, "predict_each", each(oracle))
-    monkeypatch.setattr(track, "predict", oracle)
+    monkeypatch.setattr(OnnxNetwork, "predict_each", each(oracle))
     return job
 
 
@@ -155,7 +150,7 @@ def test_frames_are_compared_with_labels_at_the_time_they_were_exposed(job: Job)
 
 @pytest.mark.parametrize("decode", ["refined", "depth"])
 def test_the_baseline_is_placed_as_the_finetuned_network_is(job: Job, decode: str) -> None:
-    job.curves(decode=decode)
+    job.finetuned(decode=decode)
     _, metrics = job.evaluate()
     longer = pytest.approx(1 - 1 / 1.1)
     published = {f"baseline_{how}": how for how in ("plane", "depth") if how != decode}
@@ -172,14 +167,11 @@ def test_the_baseline_sees_images_as_wide_as_the_fine_tuned_network(job: Job, mo
     seen = []
 
     def watched(network: Any, frames: Iterable[Frame], **options: Any) -> Iterator[tuple[Vehicles3D, ...]]:
-        seen.append(network.input_width_px)
+        seen.append(network.card.input_width_px)
         return each(oracle)(network, frames, **options)
 
-    monkeypatch.setattr(evaluate, "predict_each", watched)
-    network = SmallNetwork()
-    network.input_width_px = 960
-    save_network(network, job.place(catalogue.WEIGHTS))
-    job.curves(input_width_px=960)
+    monkeypatch.setattr(OnnxNetwork, "predict_each", watched)
+    job.finetuned(input_width_px=960)
     job.evaluate()
     assert seen == [960] * 2
 
@@ -194,9 +186,8 @@ def test_standard_deviations_are_multiplied_as_the_validation_part_says(
             boxes = found.boxes + [0.5 * (-1) ** number, 0.5, 0, 0, 0, 0, 0]
             yield replace(found, boxes=boxes, sd=np.full_like(boxes, 0.1))
 
-    monkeypatch.setattr(evaluate, "predict_each", each(unsure))
-    monkeypatch.setattr(track, "predict", unsure)
-    job.curves(sd_factors={"position": 3.0, "yaw": 2.0})
+    monkeypatch.setattr(OnnxNetwork, "predict_each", each(unsure))
+    job.finetuned(sd_factors={"position": 3.0, "yaw": 2.0})
     _, metrics = job.evaluate()
     assert metrics.sd_factors == {"position": 3.0, "z": 1.0, "size": 1.0, "yaw": 2.0}
     assert metrics.reliability is not None
@@ -209,7 +200,7 @@ def test_standard_deviations_are_multiplied_as_the_validation_part_says(
     kept = job.read(catalogue.PREDICTIONS_FINETUNED)
     np.testing.assert_allclose(kept[0].sd[0], [0.3, 0.3, 0.1, 0.1, 0.1, 0.1, 0.2])
     _, wide = job.track()
-    job.curves()
+    job.finetuned()
     _, narrow = job.track()
     assert np.median(wide[0].sd[:, 0]) > np.median(narrow[0].sd[:, 0])
 
@@ -256,7 +247,7 @@ def test_labels_between_the_instants_of_the_split_are_used(job: Job, tmp_path: P
 
 def test_a_network_that_was_trained_on_a_gpu_is_used_without_one(job: Job, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(torch.cuda, "is_available", lambda: False)
-    job.curves(device="cuda")
+    job.finetuned(device="cuda")
     assert job.evaluate()[0]["labels"] == "hand"
     assert job.track()[0]["tracks"] == 2
 

@@ -10,9 +10,9 @@ from tests.site_dataset import give_tiny_site, tiny_rig, without_detection
 from tests.stage_folders import StageFolders
 from wibam_core.artifacts import catalogue
 from wibam_core.config import FinetuneConfig
-from wibam_core.models.usage import Usage
+from wibam_core.networks.registry import load_network, read_card
+from wibam_core.networks.small.network import SmallMonocular
 from wibam_core.networks.small.onnx_network import OnnxNetwork
-from wibam_core.networks.weights import load_network, usage_of
 from wibam_core.scene import CameraRig
 from wibam_core.stages import finetune
 from wibam_core.stages.base import Summary
@@ -30,9 +30,8 @@ def run(folders: StageFolders, config: FinetuneConfig) -> Summary:
 def test_a_network_sees_images_as_wide_as_the_options_say(tmp_path: Path) -> None:
     folders = folders_of(tmp_path)
     run(folders, FinetuneConfig(steps=1, batch_size=1, input_width_px=320))
-    assert load_network(folders.read(catalogue.WEIGHTS)).input_width_px == 320
-    assert OnnxNetwork.load(folders.read(catalogue.WEIGHTS_ONNX)).input_width_px == 320
-    assert folders.read(catalogue.CURVES).input_width_px == 320
+    assert load_network(folders.read(catalogue.WEIGHTS)).view_width_px == 320
+    assert OnnxNetwork.load(folders.read(catalogue.WEIGHTS_ONNX)).card.input_width_px == 320
 
 
 def test_what_one_camera_overlooked_is_learned_from_but_not_by_the_published_method(tmp_path: Path) -> None:
@@ -66,18 +65,18 @@ def test_writes_weights_and_curves(tmp_path: Path) -> None:
     config = FinetuneConfig(steps=2, steps_per_epoch=1, batch_size=2)
     summary = run(folders, config)
     network = load_network(folders.read(catalogue.WEIGHTS))
+    assert isinstance(network, SmallMonocular)
     images = torch.rand(1, 3, 64, 96)
     with torch.inference_mode():
-        expected = network(images)
+        expected = network.module(images)
     found = OnnxNetwork.load(folders.read(catalogue.WEIGHTS_ONNX))(images)
     torch.testing.assert_close(vars(found), vars(expected), atol=1e-3, rtol=0)
     curves = folders.read(catalogue.CURVES)
-    assert curves.decode == "refined"
-    assert curves.input_width_px == network.input_width_px == 640
-    said = Usage("refined", curves.sd_factors)
-    assert said.sd_factors.keys() == {"position", "z", "size", "yaw"}
-    assert usage_of(folders.read(catalogue.WEIGHTS)) == said
-    assert OnnxNetwork.load(folders.read(catalogue.WEIGHTS_ONNX)).usage == said
+    card = read_card(folders.read(catalogue.WEIGHTS))
+    assert (card.start, card.method, card.decode, card.device) == ("small", "lifted", "refined", "auto")
+    assert card.sd_factors.keys() == {"position", "z", "size", "yaw"}
+    assert card.input_width_px == 640
+    assert OnnxNetwork.load(folders.read(catalogue.WEIGHTS_ONNX)).card == card
     assert [epoch.step for epoch in curves.epochs] == [1, 2]
     assert all({"heat", "yaw", "total"} <= epoch.validation.keys() for epoch in curves.epochs)
     assert summary["train_frames"] == 6

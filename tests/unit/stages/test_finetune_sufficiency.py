@@ -16,7 +16,6 @@ def test_few_vehicles_are_warned_of(tmp_path: Path) -> None:
     folders = folders_of(tmp_path)
     summary = run(folders, FinetuneConfig(method="combined", steps=1, batch_size=1))
     curves = folders.read(CURVES)
-    assert curves.method == "combined"
     assert "multiview" in curves.epochs[0].train
     assert summary["vehicles"] == 1
     [warning] = folders.warnings

@@ -8,7 +8,8 @@ import pytest
 
 from wibam_core.config import TrackConfig
 from wibam_core.geometry.ground import intersect_plane
-from wibam_core.networks.weights import bundled, load_network
+from wibam_core.models.weights import bundled
+from wibam_core.networks.registry import load_network
 from wibam_core.tracking.recording import track_recording
 from wibam_core.tracking.uncalibrated import NOMINAL_HEIGHT_M, nominal_camera
 from wibam_core.video.decode import decode

@@ -13,6 +13,7 @@ from tests.site_dataset import tiny_site
 from wibam_core.evaluation.uncertainty import SdFactors
 from wibam_core.models.frames import Frame
 from wibam_core.networks.small.architecture import SmallNetwork
+from wibam_core.networks.small.network import SmallMonocular
 from wibam_core.scene import Vehicles3D
 from wibam_core.training import calibration
 from wibam_core.training.calibration import factors_from_fits, sd_factors
@@ -75,9 +76,9 @@ def test_a_network_is_judged_by_the_validation_part_alone(tmp_path: Path, monkey
     #: Errors are by so much larger than they are said to be.
     factor_of = {(view.camera_id, view.time_ns): (view, 0.5) for view in site.train}
     factor_of |= {(view.camera_id, view.time_ns): (view, 2.0) for view in site.validation}
-    network, asked = SmallNetwork(), []
+    network, asked = SmallMonocular(SmallNetwork()), []
 
-    def oracle(given: SmallNetwork, frames: Iterable[Frame], *, decode: str, min_score: float) -> Iterator[Vehicles3D]:
+    def oracle(given: object, frames: Iterable[Frame], *, decode: str, min_score: float) -> Iterator[Vehicles3D]:
         assert given is network and decode == "fused" and min_score < 0.5
         for frame in frames:
             view, factor = factor_of[frame.camera_id, frame.time_ns]
@@ -97,5 +98,6 @@ def test_a_network_that_finds_nothing_or_has_nothing_to_look_at_is_taken_at_its_
     torch.set_num_threads(1)
     torch.manual_seed(0)
     alone = SiteDataset(site.frames, site.rig, [], site.validation[:2])
-    assert sd_factors(SmallNetwork(), alone, "plane") == SdFactors()  # an untrained network finds nothing
-    assert sd_factors(SmallNetwork(), SiteDataset(site.frames, site.rig, [], []), "plane") == SdFactors()
+    untrained = SmallMonocular(SmallNetwork())  # it finds nothing
+    assert sd_factors(untrained, alone, "plane") == SdFactors()
+    assert sd_factors(untrained, SiteDataset(site.frames, site.rig, [], []), "plane") == SdFactors()

@@ -12,7 +12,9 @@ from wibam_core.config import FinetuneConfig
 from wibam_core.errors import InvalidOption
 from wibam_core.models.trunk import TrunkShape
 from wibam_core.networks.dla34.architecture import DLA34
+from wibam_core.networks.dla34.network import CenterTrack
 from wibam_core.networks.small.architecture import SmallNetwork
+from wibam_core.networks.small.network import SmallMonocular
 from wibam_core.progress import silent
 from wibam_core.training import distributed
 from wibam_core.training.checkpoint import read_checkpoint, write_checkpoint
@@ -20,6 +22,7 @@ from wibam_core.training.dataset import site_views
 from wibam_core.training.device import Precision, choose_device, choose_device_to_detect
 from wibam_core.training.distributed import Ranks, usable_devices
 from wibam_core.training.finetune import FinetuneResult, SiteDataset, finetune, finetune_on
+from wibam_core.training.trainable import TrainableNetwork
 
 CPU = torch.device("cpu")
 TINY = TrunkShape(channels=(8, 8, 16, 16, 16), blocks=(0, 0, 0, 0), neck=8)
@@ -45,7 +48,7 @@ def options(**values: object) -> FinetuneConfig:
     )
 
 
-def without_batch_statistics() -> SmallNetwork:
+def without_batch_statistics() -> SmallMonocular:
     """A network that normalises each image by itself: what it learns of an image does not depend on the batch."""
     torch.manual_seed(0)
     network = SmallNetwork(TINY)
@@ -53,11 +56,11 @@ def without_batch_statistics() -> SmallNetwork:
         for name, child in module.named_children():
             if isinstance(child, nn.BatchNorm2d):
                 setattr(module, name, nn.GroupNorm(1, child.num_features))
-    return network
+    return SmallMonocular(network)
 
 
 def weights(result: FinetuneResult) -> torch.Tensor:
-    return torch.cat([value.flatten().double() for value in result.network.state_dict().values()])
+    return torch.cat([value.flatten().double() for value in result.network.module.state_dict().values()])
 
 
 def test_two_processes_with_half_a_batch_each_learn_what_one_learns(dataset: SiteDataset, tmp_path: Path) -> None:
@@ -67,7 +70,7 @@ def test_two_processes_with_half_a_batch_each_learn_what_one_learns(dataset: Sit
         finetune_on(count, exact, without_batch_statistics(), dataset, config, silent, tmp_path / str(count))
         for count in (1, 2)
     )
-    start = torch.cat([value.flatten().double() for value in without_batch_statistics().state_dict().values()])
+    start = torch.cat([value.flatten().double() for value in without_batch_statistics().module.state_dict().values()])
     assert float((weights(one) - start).abs().max()) > 5e-3
     assert float((weights(one) - weights(two)).abs().max()) < 1e-4
     assert [epoch.validation for epoch in one.epochs] == [
@@ -153,23 +156,20 @@ def test_without_the_instructions_a_processor_computes_in_float32(monkeypatch: p
 @needs_cuda
 @pytest.mark.parametrize("dtype", [torch.bfloat16, torch.float16])
 @pytest.mark.parametrize("method", ["lifted", "paper"])
-@pytest.mark.parametrize("network", [SmallNetwork, DLA34])
-def test_trains_on_cuda(
-    dataset: SiteDataset, tmp_path: Path, network: type[nn.Module], method: str, dtype: torch.dtype
-) -> None:
+@pytest.mark.parametrize("kind", ["small", "custom"])
+def test_trains_on_cuda(dataset: SiteDataset, tmp_path: Path, kind: str, method: str, dtype: torch.dtype) -> None:
     precision = Precision(choose_device("cuda"), dtype)
-    kind = "custom" if network is DLA34 else "small"
     config = options(method=method, network=kind, steps=20, steps_per_epoch=5, learning_rate=1e-3)
     torch.manual_seed(0)
-    result = finetune_on(1, precision, network(), dataset, config, silent, tmp_path)
+    network: TrainableNetwork = CenterTrack(DLA34()) if kind == "custom" else SmallMonocular(SmallNetwork())
+    result = finetune_on(1, precision, network, dataset, config, silent, tmp_path)
     assert result.epochs[-1].train["total"] < result.epochs[0].train["total"]
-    assert {value.device for value in result.network.state_dict().values()} == {CPU}
+    assert {value.device for value in result.network.module.state_dict().values()} == {CPU}
 
 
 @pytest.mark.skipif(torch.cuda.device_count() < 2, reason="there are not two CUDA devices here")
 def test_trains_on_two_cuda_devices(dataset: SiteDataset, tmp_path: Path) -> None:
     torch.manual_seed(0)
-    result = finetune_on(
-        2, Precision.of(choose_device("cuda")), DLA34(), dataset, options(network="custom"), silent, tmp_path
-    )
-    assert not any(isinstance(module, nn.SyncBatchNorm) for module in result.network.modules())
+    precision, config = Precision.of(choose_device("cuda")), options(network="custom")
+    result = finetune_on(2, precision, CenterTrack(DLA34()), dataset, config, silent, tmp_path)
+    assert not any(isinstance(module, nn.SyncBatchNorm) for module in result.network.module.modules())

@@ -12,6 +12,7 @@ from wibam_core.config import FinetuneConfig
 from wibam_core.errors import NoMultiViewVehicles, NonFiniteLoss, TooFewInstants
 from wibam_core.models.trunk import TrunkShape
 from wibam_core.networks.small.architecture import SmallNetwork
+from wibam_core.networks.small.network import SmallMonocular
 from wibam_core.progress import silent
 from wibam_core.training.dataset import site_views
 from wibam_core.training.finetune import FinetuneResult, SiteDataset, finetune
@@ -34,9 +35,9 @@ def dataset_of(site: TinySite) -> SiteDataset:
     return SiteDataset(site.frames, site.rig, views[:9], views[9:])
 
 
-def network() -> SmallNetwork:
+def network() -> SmallMonocular:
     torch.manual_seed(0)
-    return SmallNetwork(TINY)
+    return SmallMonocular(SmallNetwork(TINY))
 
 
 def options(**values: object) -> FinetuneConfig:
@@ -44,7 +45,7 @@ def options(**values: object) -> FinetuneConfig:
 
 
 def assert_equal(one: FinetuneResult, two: FinetuneResult) -> None:
-    for (name, a), (_, b) in zip(one.network.state_dict().items(), two.network.state_dict().items(), strict=True):
+    for (name, a), (_, b) in zip(*(run.network.module.state_dict().items() for run in (one, two)), strict=True):
         assert torch.equal(a, b), name
     assert one.epochs == two.epochs
     assert one.kept_step == two.kept_step
@@ -92,7 +93,7 @@ def test_the_loss_falls(site: TinySite, tmp_path: Path, chosen: dict[str, object
     assert result.epochs[-1].validation["total"] < result.epochs[0].validation["total"]
     assert reports[-1] == 1.0
     assert reports == sorted(reports)
-    assert not result.network.training
+    assert not result.network.module.training
 
 
 def test_a_checkpoint_of_other_options_or_a_damaged_one_is_not_used(site: TinySite, tmp_path: Path) -> None:
@@ -106,7 +107,7 @@ def test_a_checkpoint_of_other_options_or_a_damaged_one_is_not_used(site: TinySi
 @pytest.mark.parametrize("method", ["lifted", "paper", "combined"])
 def test_a_loss_that_is_not_finite_names_the_frames(site: TinySite, tmp_path: Path, method: str) -> None:
     poisoned = network()
-    poisoned.heads["size"].get_parameter("bias").data.fill_(float("nan"))
+    poisoned.module.heads["size"].get_parameter("bias").data.fill_(float("nan"))
     with pytest.raises(NonFiniteLoss) as caught:
         finetune(poisoned, dataset_of(site), options(method=method), silent, tmp_path)
     assert caught.value.details["step"] == 0
@@ -119,7 +120,7 @@ def test_a_validation_loss_that_is_not_finite_names_the_frames(site: TinySite, t
 
     def spoil(fraction: float, message: str = "", **figures: float) -> None:
         if fraction == 1.0:
-            spoilt.heads["size"].get_parameter("bias").data.fill_(float("nan"))
+            spoilt.module.heads["size"].get_parameter("bias").data.fill_(float("nan"))
 
     dataset = dataset_of(site)
     with pytest.raises(NonFiniteLoss) as caught:

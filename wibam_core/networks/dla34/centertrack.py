@@ -9,9 +9,8 @@ From maps to boxes it is differentiable, and the same code in losses and at infe
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
-from types import MappingProxyType
 
 import cv2
 import numpy as np
@@ -22,42 +21,12 @@ from torch import Tensor
 from wibam_core.geometry.boxes2d import distinct
 from wibam_core.geometry.camera import Camera
 from wibam_core.geometry.torch_ops import CameraTensors, azimuths_rad, focal_px, intersect_plane, rays, wrap_angle
-from wibam_core.models.frames import Frame
 from wibam_core.models.peaks import DUPLICATE_IOU, find_peaks
-from wibam_core.networks.dla34.architecture import DLA34, STRIDE
+from wibam_core.networks.dla34.architecture import STRIDE
+from wibam_core.networks.dla34.classes import RoadUserChannels
 from wibam_core.placing import Decode
-from wibam_core.road_users import RoadUserClass
-from wibam_core.scene import Vehicles3D
 
 Array = NDArray[np.float64]
-
-#: The heat map's channels in order.
-NUSCENES_CLASSES = (
-    "car",
-    "truck",
-    "bus",
-    "trailer",
-    "construction_vehicle",
-    "pedestrian",
-    "motorcycle",
-    "bicycle",
-    "traffic_cone",
-    "barrier",
-)
-
-#: Which of them are vehicles here. Vans count as cars there. A trailer is a box of its own behind its truck's: taken as
-#: a vehicle it would follow its truck without a gap, and be in conflict with it all the time.
-VEHICLES: Mapping[str, RoadUserClass] = MappingProxyType(
-    {
-        "car": RoadUserClass.CAR,
-        "truck": RoadUserClass.TRUCK,
-        "bus": RoadUserClass.BUS,
-        "construction_vehicle": RoadUserClass.TRUCK,
-    }
-)
-
-#: The heat map's channels of `VEHICLES`, in that order.
-VEHICLE_CHANNELS = tuple(NUSCENES_CLASSES.index(name) for name in VEHICLES)
 
 #: Alpha in the middle of each of the two bins of ``rot``.
 BIN_CENTRES_RAD = (-math.pi / 2, math.pi / 2)
@@ -228,11 +197,17 @@ class Decoded:
 
 
 def decode_vehicles(
-    heads: Mapping[str, Tensor], warp: InputWarp, camera: Camera, min_score: float, decode: Decode = "depth"
+    heads: Mapping[str, Tensor],
+    warp: InputWarp,
+    camera: Camera,
+    classes: RoadUserChannels,
+    *,
+    min_score: float,
+    decode: Decode,
 ) -> Decoded:
     """Vehicles from the raw head outputs of one image.
 
-    The classes that are vehicles compete for a peak, so that one vehicle is not found once as a truck and once as a
+    The classes that are road users compete for a peak, so that one vehicle is not found once as a truck and once as a
     bus; of two whose 2D boxes all but coincide the weaker is left out. What has a size that no thing can have, or
     numbers that are not finite, is left out too.
 
@@ -240,64 +215,17 @@ def decode_vehicles(
         heads: name -> (1, C, H, W), see `wibam_core.networks.dla34.architecture.HEADS`; on the CPU.
         warp: that made the input.
         camera: of the image's size.
+        classes: of the heat map.
         min_score: weaker peaks are left out.
         decode: how boxes are placed along the ray, see `boxes3d`.
     """
-    peaks = find_peaks(heads["hm"][:, VEHICLE_CHANNELS], min_score, _TOP_K)
+    peaks = find_peaks(heads["hm"][:, classes.channels], min_score, _TOP_K)
     values = read_heads(heads, peaks.image, peaks.cells)
     cameras = CameraTensors.from_cameras([warp.camera(camera)], torch.float64)
     boxes = boxes3d(values, cameras, decode).numpy()
     centre2d, half = values.centre2d.numpy(), values.wh.clamp_min(0.0).numpy() / 2
     boxes2d = np.concatenate([warp.pixels(centre2d - half), warp.pixels(centre2d + half)], axis=1)
-    kinds = np.array([kind.number for kind in VEHICLES.values()])
-    found = Decoded(boxes, boxes2d, kinds[peaks.classes.numpy()], peaks.scores.double().numpy())
+    found = Decoded(boxes, boxes2d, classes.numbers[peaks.classes.numpy()], peaks.scores.double().numpy())
     possible = np.flatnonzero(np.isfinite(np.hstack([boxes, boxes2d])).all(axis=1) & (boxes[:, 3:6] > 0).all(axis=1))
     kept = possible[distinct(boxes2d[possible], DUPLICATE_IOU)]
     return Decoded(found.boxes[kept], found.boxes2d[kept], found.classes[kept], found.scores[kept])
-
-
-def predict_vehicles(
-    network: DLA34,
-    frames: Iterable[Frame],
-    *,
-    min_score: float,
-    decode: Decode = "depth",
-    long_side_px: int = LONG_SIDE_PX,
-) -> Iterator[Vehicles3D]:
-    """Detect vehicles: one `Vehicles3D` in the world per frame, in the frames' order; standard deviations unknown.
-
-    Args:
-        network: on any device; put into evaluation mode while it runs.
-        frames: consumed one at a time.
-        min_score: peaks below it are left out.
-        decode: how boxes are placed along the ray, see `boxes3d`.
-        long_side_px: of the input.
-    """
-    placed = predict_vehicles_each(network, frames, min_score=min_score, decodes=(decode,), long_side_px=long_side_px)
-    return (vehicles for (vehicles,) in placed)
-
-
-def predict_vehicles_each(
-    network: DLA34,
-    frames: Iterable[Frame],
-    *,
-    min_score: float,
-    decodes: Sequence[Decode],
-    long_side_px: int = LONG_SIDE_PX,
-) -> Iterator[tuple[Vehicles3D, ...]]:
-    """As `predict_vehicles`, but boxes are placed in several ways, for which the network runs once."""
-    device = next(network.parameters()).device
-    for frame in frames:
-        height_px, width_px = frame.image.shape[:2]
-        warp = InputWarp.of(width_px, height_px, long_side_px)
-        camera = frame.camera.resized(width_px, height_px)
-        network.eval()
-        with torch.inference_mode():
-            heads = {name: values.cpu() for name, values in network(warp.to_input(frame.image).to(device)).items()}
-            ways = [decode_vehicles(heads, warp, camera, min_score, decode) for decode in decodes]
-        yield tuple(
-            Vehicles3D.of(
-                frame.time_ns, found.boxes, classes=found.classes, scores=found.scores, camera_id=frame.camera_id
-            )
-            for found in ways
-        )

@@ -7,7 +7,6 @@ knows tensors and plain containers alone; all else is refused.
 from __future__ import annotations
 
 import hashlib
-import json
 import re
 import warnings
 from collections.abc import Mapping
@@ -16,12 +15,13 @@ from pathlib import Path
 from pickle import UnpicklingError
 
 import torch
-from safetensors.torch import save
 from torch import Tensor
 
 from wibam_core.errors import InvalidWeights
+from wibam_core.formats.model_card import metadata_of
+from wibam_core.models.weights import check_state, save_state
 from wibam_core.networks.dla34.architecture import DLA34, HEADS
-from wibam_core.networks.weights import centertrack_metadata, check_state
+from wibam_core.networks.dla34.network import CARD
 
 #: For people who convert such weights or use them.
 LICENCE_NOTE = (
@@ -69,15 +69,9 @@ def convert_checkpoint(source: Path, target: Path) -> Checkpoint:
             f"the output {target.name} does not end in .safetensors", hint="Name it so: that is what it is."
         )
     found = read_checkpoint(source)
-    metadata = centertrack_metadata() | {
-        "source_name": source.name,
-        "source_sha256": found.sha256,
-        "licence": LICENCE_NOTE,
-    }
-    temporary = target.with_name(target.name + ".tmp")
+    card = CARD.model_copy(update={"source_name": source.name, "source_sha256": found.sha256, "licence": LICENCE_NOTE})
     target.parent.mkdir(parents=True, exist_ok=True)
-    temporary.write_bytes(_with_sorted_header(save(dict(found.state), metadata=metadata)))
-    temporary.replace(target)
+    save_state(found.state, target, metadata_of(card))
     return found
 
 
@@ -142,17 +136,3 @@ def _without_prefix(key: str) -> tuple[str, str]:
     while name.startswith(_PREFIXES):
         name = name.split(".", 1)[1]
     return name, key.removesuffix(name)
-
-
-def _with_sorted_header(file: bytes) -> bytes:
-    """A safetensors file with its metadata in order of the keys; the library writes them in any order.
-
-    The format: the header's length, 8 bytes little-endian, the header as JSON, padded with blanks to a multiple of 8,
-    then the tensors, at offsets counted from the header's end.
-    """
-    length = int.from_bytes(file[:8], "little")
-    header = json.loads(file[8 : 8 + length])
-    header["__metadata__"] = dict(sorted(header["__metadata__"].items()))
-    text = json.dumps(header, ensure_ascii=False, separators=(",", ":")).encode()
-    text += b" " * (-len(text) % 8)
-    return len(text).to_bytes(8, "little") + text + file[8 + length :]

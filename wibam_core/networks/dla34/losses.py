@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import torch
@@ -14,7 +14,6 @@ from wibam_core.geometry.torch_ops import focal_px, wrap_angle
 from wibam_core.networks.dla34.centertrack import (
     BIN_CENTRES_RAD,
     TRAINED_FOCAL_PX,
-    VEHICLE_CHANNELS,
     HeadValues,
     alphas_rad,
     boxes3d,
@@ -48,9 +47,9 @@ class DLA34Weights:
 _WEIGHTS = DLA34Weights()
 
 
-def heat_part(heads: Mapping[str, Tensor], targets: DLA34Targets) -> Tensor:
-    """The focal loss of the classes that are vehicles, on the heads' device; the other classes learn nothing."""
-    logits = heads["hm"][:, VEHICLE_CHANNELS]
+def heat_part(heads: Mapping[str, Tensor], targets: DLA34Targets, channels: Sequence[int]) -> Tensor:
+    """The focal loss of the channels that find road users, on the heads' device; the other classes learn nothing."""
+    logits = heads["hm"][:, channels]
     heat, judged = targets.heat.to(logits.device), targets.judged.to(logits.device)
     return focal_loss(logits, heat, judged).cpu().double()
 

@@ -14,8 +14,7 @@ from wibam_core.geometry.box3d import XYZ, YAW
 from wibam_core.geometry.camera import Camera
 from wibam_core.geometry.torch_ops import CameraTensors
 from wibam_core.networks.dla34.architecture import STRIDE
-from wibam_core.networks.dla34.centertrack import VEHICLES
-from wibam_core.road_users import CLASSES, RoadUserClass
+from wibam_core.networks.dla34.classes import RoadUserChannels
 from wibam_core.training.views import FloatArray, LabelledView
 
 #: A projected 3D centre farther than this from the 2D box's centre belongs to a truncated vehicle, whose visible part
@@ -25,11 +24,6 @@ MAX_CENTRE_OFFSET_CELLS = 22.0
 #: Peaks are so wide that a box about a cell within it still overlaps the vehicle's by this IoU (Law & Deng 2018).
 _PEAK_IOU = 0.7
 
-#: Our class -> row of the heat's channels of `VEHICLES`. Vans are cars there.
-_ROW_OF_CLASS = np.array(
-    [list(VEHICLES.values()).index(RoadUserClass.CAR if kind is RoadUserClass.VAN else kind) for kind in CLASSES]
-)
-
 _NO_BOX = np.array([0.0, 0.0, 0.0, 1.0, 1.0, 1.0, 0.0])
 
 
@@ -38,8 +32,8 @@ class DLA34Targets:
     """Targets of a batch of B views with N vehicles whose centre is in the image.
 
     Attributes:
-        heat: (B, 4, h, w) in [0, 1], for the channels of `VEHICLES`. judged: (B, 1, h, w), 0 where the heat is not
-            judged.
+        heat: (B, K, h, w) in [0, 1], for the channels that find road users. judged: (B, 1, h, w), 0 where the heat is
+            not judged.
         image: (N,). cells: (N, 2) x, y. vehicle: (N,) index of the vehicle in the batch.
         centre2d, wh: (N, 2) of the 2D box, cells.
         lifted: (N,) weight of what follows, 0 where it is unknown.
@@ -64,9 +58,9 @@ class DLA34Targets:
     cameras: CameraTensors
 
 
-def encode(views: Sequence[LabelledView], height: int, width: int) -> DLA34Targets:
-    """Targets for views whose maps have the given size, cells."""
-    heat = np.zeros((len(views), len(VEHICLES), height, width), np.float32)
+def encode(views: Sequence[LabelledView], height: int, width: int, classes: RoadUserChannels) -> DLA34Targets:
+    """Targets for views of teachable road users whose maps have the given size, cells."""
+    heat = np.zeros((len(views), len(classes.channels), height, width), np.float32)
     judged = np.ones((len(views), 1, height, width), np.float32)
     rows: list[dict[str, NDArray]] = []
     vehicles = 0
@@ -75,7 +69,7 @@ def encode(views: Sequence[LabelledView], height: int, width: int) -> DLA34Targe
             judged[index, 0, max(y0, 0) : max(y1, 0), max(x0, 0) : max(x1, 0)] = 0.0
         taught = _taught(view, height, width)
         for vehicle, cell, wh in zip(taught["vehicle"], taught["cells"], taught["wh"], strict=True):
-            _draw_peak(heat[index, _ROW_OF_CLASS[view.classes[vehicle]]], cell, wh)
+            _draw_peak(heat[index, classes.row_of[view.classes[vehicle]]], cell, wh)
         taught["vehicle"] = taught["vehicle"] + vehicles
         rows.append({"image": np.full(len(taught["cells"]), index, np.int64), **taught})
         vehicles += len(view.classes)

@@ -10,19 +10,19 @@ well as the height is known, and 0.1 m of height move it by 0.2 m where a camera
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import torch
 from torch import Tensor, nn
 
-from wibam_core.models.frames import INPUT_WIDTH_PX
 from wibam_core.models.trunk import Trunk, TrunkShape, conv_block
-from wibam_core.road_users import CLASSES
 
 #: Depth is learned as if every camera had this focal length, in px of the image that the network sees.
 REFERENCE_FOCAL_PX = 400.0
 
-#: Mean length, width and height per class, m, in the order of `CLASSES`.
+#: What the bundled weights tell apart, and mean length, width and height of each, m.
+CLASS_NAMES = ("car", "van", "truck", "bus")
 MEAN_SIZES_M = ((4.49, 1.82, 1.55), (5.34, 1.98, 2.18), (7.72, 2.38, 3.15), (10.75, 2.49, 3.03))
 
 #: Groups of regressed values with a common uncertainty each.
@@ -38,7 +38,7 @@ class SmallOutputs:
     """Maps (B, C, H/4, W/4).
 
     Attributes:
-        heat: (B, 4, ...) logits per class.
+        heat: (B, C, ...) logits per class.
         box2d: (B, 4, ...) offset of the 2D box's centre from the cell x, y, and log width, height; cells.
         centre3d: (B, 2, ...) offset of the projected 3D centre from the cell x, y; cells.
         depth: (B, 1, ...) log of the depth in m for `REFERENCE_FOCAL_PX`.
@@ -59,9 +59,10 @@ class SmallOutputs:
     log_scale: Tensor
 
 
-#: Initial biases, one per channel: a heat of 0.05 everywhere, and typical boxes, depths and errors.
+#: Initial biases: of each class's heat, 0.05 everywhere; of the other heads, one per channel, typical boxes, depths and
+#: errors.
+_HEAT_BIAS = -2.94
 _HEAD_BIASES = {
-    "heat": (-2.94,) * len(CLASSES),
     "box2d": (0.0, 0.0, 2.3, 2.0),
     "centre3d": (0.0, 0.0),
     "depth": (3.0,),
@@ -76,21 +77,22 @@ class SmallNetwork(nn.Module):
     """1.5 million parameters; images (B, 3, H, W), BGR in 0..1, to `SmallOutputs` at stride 4.
 
     Attributes:
-        mean_sizes_m: (4, 3) mean length, width, height per class.
-        input_width_px: width that images are resized to before it sees them. It computes the same for any; a wider
-            image shows vehicles more exactly, and takes longer.
+        mean_sizes_m: (C, 3) mean length, width, height per class.
+
+    Args:
+        shape: of its trunk.
+        mean_sizes_m: of the classes that it is to tell apart; weights that are loaded bring their own.
     """
 
     mean_sizes_m: Tensor
-    input_width_px: int
 
-    def __init__(self, shape: TrunkShape = SMALL_SHAPE) -> None:
+    def __init__(self, shape: TrunkShape = SMALL_SHAPE, mean_sizes_m: Sequence[Sequence[float]] = MEAN_SIZES_M) -> None:
         super().__init__()
         self.trunk = Trunk(shape)
         self.shared = conv_block(shape.neck, _HEAD_CHANNELS)
-        self.heads = nn.ModuleDict({name: _head(biases) for name, biases in _HEAD_BIASES.items()})
-        self.register_buffer("mean_sizes_m", torch.tensor(MEAN_SIZES_M))
-        self.input_width_px = INPUT_WIDTH_PX
+        biases = {"heat": (_HEAT_BIAS,) * len(mean_sizes_m), **_HEAD_BIASES}
+        self.heads = nn.ModuleDict({name: _head(of_channels) for name, of_channels in biases.items()})
+        self.register_buffer("mean_sizes_m", torch.tensor(mean_sizes_m))
 
     def forward(self, images: Tensor) -> SmallOutputs:
         features = self.shared(self.trunk(images)).float()

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
 
 import numpy as np
 import torch
@@ -13,70 +14,62 @@ from torch import Tensor
 from wibam_core.geometry.boxes2d import distinct
 from wibam_core.geometry.pixels import resized_px
 from wibam_core.geometry.torch_ops import CameraTensors
-from wibam_core.models.frames import Frame, prepare_camera, prepare_image, to_input
+from wibam_core.models.frames import Frame, prepare_camera, prepare_image
 from wibam_core.models.peaks import DUPLICATE_IOU, Peaks, find_peaks
 from wibam_core.models.second_look import Edges, SecondLook
-from wibam_core.networks.small.architecture import SmallNetwork, SmallOutputs
+from wibam_core.networks.small.architecture import SmallOutputs
 from wibam_core.networks.small.decode import PeakValues, boxes2d_px, boxes3d, gather, gather_around, standard_deviations
-from wibam_core.networks.small.onnx_network import OnnxNetwork
 from wibam_core.networks.small.reconcile import reconciled
 from wibam_core.placing import Decode
+from wibam_core.road_users import BODIES
 from wibam_core.scene import Vehicles3D
 
-#: The small network in torch, on any device, or in ONNX Runtime.
-RunnableNetwork = SmallNetwork | OnnxNetwork
 
+@dataclass(frozen=True, eq=False)
+class Maps:
+    """What runs the small network, and what belongs to its maps.
 
-def predict(
-    network: RunnableNetwork, frames: Iterable[Frame], *, decode: Decode, min_score: float, batch_size: int = 8
-) -> Iterator[Vehicles3D]:
-    """Detect vehicles: one `Vehicles3D` in the world per frame, in the frames' order.
-
-    Args:
-        network: torch's is put into evaluation mode, and runs on its own device. It sees images at its input width.
-        frames: consumed as needed, at most ``batch_size`` in memory.
-        decode: how boxes are placed, see `wibam_core.networks.small.decode.boxes3d`.
-        min_score: peaks below it are left out.
-        batch_size: images per pass; images of one batch have equal prepared sizes.
+    Attributes:
+        run: prepared images (B, H, W, 3) uint8 to maps on the CPU.
+        mean_sizes_m: (C, 3) mean length, width and height of each class, float32.
+        numbers: (C,) index into `CLASSES` of each class.
+        input_width_px: how wide images are when they are prepared.
     """
-    placed = predict_each(network, frames, decodes=(decode,), min_score=min_score, batch_size=batch_size)
-    return (vehicles for (vehicles,) in placed)
+
+    run: Callable[[NDArray[np.uint8]], SmallOutputs]
+    mean_sizes_m: Tensor
+    numbers: NDArray[np.int64]
+    input_width_px: int
 
 
 def predict_each(
-    network: RunnableNetwork,
-    frames: Iterable[Frame],
-    *,
-    decodes: Sequence[Decode],
-    min_score: float,
-    batch_size: int = 8,
+    maps: Maps, frames: Iterable[Frame], *, decodes: Sequence[Decode], min_score: float, batch_size: int
 ) -> Iterator[tuple[Vehicles3D, ...]]:
-    """As `predict`, but boxes are placed in several ways while the network runs once: per frame a result of each."""
+    """Detect vehicles, see `wibam_core.models.network.Network.predict_each`.
+
+    Args:
+        maps: of the network.
+        frames: consumed as needed, at most ``batch_size`` in memory.
+        decodes: how boxes are placed, see `wibam_core.networks.small.decode.boxes3d`.
+        min_score: peaks below it are left out.
+        batch_size: images per pass; images of one batch have equal prepared sizes.
+    """
     look = SecondLook() if "refined" in decodes else None
     batch: list[Frame] = []
     images: list[NDArray[np.uint8]] = []
     for frame in frames:
-        image = prepare_image(frame.image, network.input_width_px)
+        image = prepare_image(frame.image, maps.input_width_px)
         if batch and (len(batch) == batch_size or image.shape != images[0].shape):
-            yield from _predict_batch(network, batch, images, decodes, look, min_score)
+            yield from _predict_batch(maps, batch, images, decodes, look, min_score)
             batch, images = [], []
         batch.append(frame)
         images.append(image)
     if batch:
-        yield from _predict_batch(network, batch, images, decodes, look, min_score)
-
-
-def _run(network: RunnableNetwork, images: NDArray[np.uint8]) -> SmallOutputs:
-    """The maps of prepared images (B, H, W, 3), on the CPU."""
-    if isinstance(network, OnnxNetwork):
-        return network(to_input(images, layout=torch.contiguous_format))
-    network.eval()
-    outputs: SmallOutputs = network(to_input(images, network.mean_sizes_m.device))
-    return SmallOutputs(**{name: values.cpu() for name, values in vars(outputs).items()})
+        yield from _predict_batch(maps, batch, images, decodes, look, min_score)
 
 
 def _predict_batch(
-    network: RunnableNetwork,
+    maps: Maps,
     frames: list[Frame],
     images: list[NDArray[np.uint8]],
     decodes: Sequence[Decode],
@@ -84,21 +77,20 @@ def _predict_batch(
     min_score: float,
 ) -> Iterator[tuple[Vehicles3D, ...]]:
     with torch.inference_mode():
-        outputs = _run(network, np.stack(images))
+        outputs = maps.run(np.stack(images))
         peaks = find_peaks(outputs.heat, min_score)
-        sizes_m = network.mean_sizes_m.cpu()
-        prepared = [prepare_camera(frame.camera, network.input_width_px) for frame in frames]
+        prepared = [prepare_camera(frame.camera, maps.input_width_px) for frame in frames]
         cameras = CameraTensors.from_cameras(prepared, torch.float64)
-        ways = [_placed(outputs, peaks, frames, cameras, sizes_m, decode, look) for decode in decodes]
+        ways = [_placed(maps, outputs, peaks, frames, cameras, decode, look) for decode in decodes]
     yield from zip(*ways, strict=True)
 
 
 def _placed(
+    maps: Maps,
     outputs: SmallOutputs,
     peaks: Peaks,
     frames: list[Frame],
     cameras: CameraTensors,
-    mean_sizes_m: Tensor,
     decode: Decode,
     look: SecondLook | None,
 ) -> list[Vehicles3D]:
@@ -106,13 +98,14 @@ def _placed(
     fits = decode in ("fitted", "refined")
     read = gather_around if fits else gather
     values = read(outputs, peaks.image, peaks.cells, peaks.classes)
-    boxes = boxes3d(values, cameras, mean_sizes_m, decode)
+    boxes = boxes3d(values, cameras, maps.mean_sizes_m, decode)
     kept = kept_peaks(peaks.image, boxes, boxes2d_px(values))
     values, boxes = values[kept], boxes[kept]
     sd = standard_deviations(values, boxes, cameras, decode)
+    numbers = maps.numbers[values.classes.numpy()]
     if fits:
         edges = _edges(look, frames, cameras, values) if look is not None and decode == "refined" else None
-        boxes, sd = reconciled(values, boxes, sd, cameras, edges)
+        boxes, sd = reconciled(values, boxes, sd, cameras, torch.from_numpy(BODIES[numbers]), edges)
     scores = peaks.scores[kept].double().numpy()
     found = []
     for index, frame in enumerate(frames):
@@ -121,7 +114,7 @@ def _placed(
             Vehicles3D.of(
                 frame.time_ns,
                 boxes.numpy()[mine],
-                classes=values.classes.numpy()[mine],
+                classes=numbers[mine],
                 scores=scores[mine],
                 sd=sd.numpy()[mine],
                 camera_id=frame.camera_id,

@@ -19,7 +19,6 @@ from wibam_core.models.second_look import Edges
 from wibam_core.models.trunk import STRIDE
 from wibam_core.networks.small.architecture import REFERENCE_FOCAL_PX, UNCERTAINTY_GROUPS
 from wibam_core.networks.small.decode import PeakValues, boxes2d_px, centres3d_px, deviations, footprints_px
-from wibam_core.road_users import BODIES
 
 #: Standard deviation of an edge of the regressed 2D box about the body's: px, and share of the box's side.
 _EDGE_SD_PX, _EDGE_SD_SHARE = 0.7, 0.03
@@ -51,7 +50,12 @@ _CENTRE, _DEPTH, _SIZE, _YAW, _FOOTPRINT = map(
 
 
 def reconciled(
-    values: PeakValues, boxes: Tensor, sd: Tensor, cameras: CameraTensors, edges: Edges | None = None
+    values: PeakValues,
+    boxes: Tensor,
+    sd: Tensor,
+    cameras: CameraTensors,
+    bodies: Tensor,
+    edges: Edges | None = None,
 ) -> tuple[Tensor, Tensor]:
     """Boxes (N, 7) that agree best with all heads, and their standard deviations (N, 7).
 
@@ -60,13 +64,14 @@ def reconciled(
         boxes: (N, 7) on the ground, where the fits start; one whose fit leads nowhere stays as it is.
         sd: (N, 7) their standard deviations, kept with them.
         cameras: (B,) of the batch, float64, at the network's input size.
+        bodies: (N, P, 3) of their classes, see `wibam_core.road_users.BODIES`.
         edges: of the whole vehicles, px of the network's input, instead of those of the regressed 2D boxes.
 
     All are on the CPU.
     """
     if not len(boxes):
         return boxes, sd
-    problem = _Problem(values, boxes, cameras, edges)
+    problem = _Problem(values, boxes, cameras, bodies, edges)
     parameters = torch.cat([boxes[:, XY], boxes[:, SIZE].log(), boxes[:, YAW, None]], dim=1)
     for _ in range(_STEPS):
         information, gradient = problem.normal_equations(parameters)
@@ -96,9 +101,11 @@ class _Problem:
         yaw_trust: headings are taken to err so many times less than they say.
     """
 
-    def __init__(self, values: PeakValues, boxes: Tensor, cameras: CameraTensors, edges: Edges | None) -> None:
+    def __init__(
+        self, values: PeakValues, boxes: Tensor, cameras: CameraTensors, bodies: Tensor, edges: Edges | None
+    ) -> None:
         self._seen_by = cameras[values.image]
-        self._bodies = torch.tensor(BODIES)[values.classes]
+        self._bodies = bodies
         outline, depths = self._outline(boxes[:, None])
         self.yaw_trust = _YAW_TRUST if edges is None else _YAW_TRUST_BESIDE_EDGES
         if edges is None:

@@ -19,7 +19,6 @@ from wibam_core.models.frames import INPUT_WIDTH_PX
 from wibam_core.models.trunk import STRIDE
 from wibam_core.networks.small.architecture import MEAN_SIZES_M, REFERENCE_FOCAL_PX
 from wibam_core.networks.small.decode import TAUGHT_CELLS
-from wibam_core.road_users import CLASSES
 from wibam_core.training.views import FloatArray, LabelledView
 
 #: A projected 3D centre farther than this from the 2D box's centre belongs to a truncated vehicle, whose visible part
@@ -71,10 +70,15 @@ class Targets:
         return Targets(**{name: value.to(device) for name, value in vars(self).items()})
 
 
-def encode(views: Sequence[LabelledView]) -> Targets:
-    """Targets for views of equal image size."""
+def encode(views: Sequence[LabelledView], mean_sizes_m: FloatArray = _MEAN_SIZES) -> Targets:
+    """Targets for views of equal image size.
+
+    Args:
+        views: their ``classes`` are channels of the heat.
+        mean_sizes_m: (C, 3) mean length, width and height of each class.
+    """
     height, width = (side // STRIDE for side in views[0].image.shape[:2])
-    heat = np.zeros((len(views), len(CLASSES), height, width), np.float32)
+    heat = np.zeros((len(views), len(mean_sizes_m), height, width), np.float32)
     judged = np.ones((len(views), 1, height, width), np.float32)
     rows: list[dict[str, NDArray]] = []
     vehicles = 0
@@ -82,7 +86,7 @@ def encode(views: Sequence[LabelledView]) -> Targets:
         _draw_ignored(judged[index, 0], view.ignored)
         for box, vehicle_class in zip(view.boxes2d, view.classes, strict=True):
             _draw_peak(heat[index, vehicle_class], box)
-        rows.append(_taught_cells(view, index, vehicles, width, height))
+        rows.append(_taught_cells(view, index, vehicles, width, height, mean_sizes_m))
         vehicles += len(view.classes)
     judged[heat.max(axis=1, keepdims=True) >= 1.0] = 1.0
     joined = {name: torch.from_numpy(np.concatenate([row[name] for row in rows])) for name in rows[0]}
@@ -116,7 +120,9 @@ def _centre_cells(boxes: FloatArray) -> NDArray[np.int64]:
     return np.floor((centres + 0.5) / STRIDE).astype(np.int64)
 
 
-def _taught_cells(view: LabelledView, image: int, first_vehicle: int, width: int, height: int) -> dict[str, NDArray]:
+def _taught_cells(
+    view: LabelledView, image: int, first_vehicle: int, width: int, height: int, mean_sizes_m: FloatArray
+) -> dict[str, NDArray]:
     n, k = len(view.classes), len(TAUGHT_CELLS)
     vehicle = np.repeat(np.arange(n), k)
     cells = (_centre_cells(view.boxes2d)[:, None] + np.array(TAUGHT_CELLS)).reshape(-1, 2)
@@ -126,7 +132,7 @@ def _taught_cells(view: LabelledView, image: int, first_vehicle: int, width: int
     boxes2d, classes = view.boxes2d[vehicle], view.classes[vehicle]
     side = np.maximum(boxes2d[:, 2:] - boxes2d[:, :2], 1.0) / STRIDE
     centre = resized_px((boxes2d[:, :2] + boxes2d[:, 2:]) / 2, 1 / STRIDE)
-    lifted, values = _lifted_values(view, vehicle, cells, centre)
+    lifted, values = _lifted_values(view, vehicle, cells, centre, mean_sizes_m[view.classes])
     return {
         "image": np.full(len(vehicle), image, np.int64),
         "cells": cells,
@@ -140,9 +146,16 @@ def _taught_cells(view: LabelledView, image: int, first_vehicle: int, width: int
 
 
 def _lifted_values(
-    view: LabelledView, vehicle: NDArray[np.int64], cells: NDArray[np.int64], centre: FloatArray
+    view: LabelledView,
+    vehicle: NDArray[np.int64],
+    cells: NDArray[np.int64],
+    centre: FloatArray,
+    usual_sizes_m: FloatArray,
 ) -> tuple[FloatArray, dict[str, NDArray]]:
-    """The weights (N,) of the 3D values of the taught cells, and the values; weight 0 where they do not exist."""
+    """The weights (N,) of the 3D values of the taught cells, and the values; weight 0 where they do not exist.
+
+    ``usual_sizes_m`` (V, 3) are the mean sizes of the classes of the view's vehicles.
+    """
     known = np.isfinite(view.boxes3d.sum(axis=1))
     boxes = np.where(known[:, None], view.boxes3d, [0.0, 0.0, 0.0, 1.0, 1.0, 1.0, 0.0])
     uv, depth = view.camera.project(boxes[:, XYZ])
@@ -155,7 +168,7 @@ def _lifted_values(
     rays = view.camera.rays(uv)
     alpha = boxes[:, YAW] - np.arctan2(rays[:, 1], rays[:, 0])
     virtual_depth = np.where(known, depth, 1.0) * REFERENCE_FOCAL_PX / _focal_px(view.camera)
-    log_size = np.log(boxes[:, SIZE] / _MEAN_SIZES[view.classes])
+    log_size = np.log(boxes[:, SIZE] / usual_sizes_m)
     weight = np.where(known_cell, view.confidence[vehicle], 0.0)
     return weight, {
         "centre3d": (centre3d - cells).astype(np.float32),
@@ -169,5 +182,5 @@ def _lifted_values(
 
 
 def _focal_px(camera: Camera) -> float:
-    """As `wibam_core.networks.small.decode.focal_px`, without making tensors of the camera."""
+    """As `wibam_core.geometry.torch_ops.focal_px`, without making tensors of the camera."""
     return math.sqrt(camera.K[0, 0] * camera.K[1, 1])

@@ -17,10 +17,11 @@ from safetensors.torch import load_file, save_file
 from torch import Tensor
 
 from wibam_core.errors import InvalidWeights
+from wibam_core.formats.model_card import metadata_of
 from wibam_core.networks.dla34.architecture import DLA34
 from wibam_core.networks.dla34.convert import LICENCE_NOTE, convert_checkpoint, read_checkpoint
-from wibam_core.networks.small.architecture import SmallNetwork
-from wibam_core.networks.weights import bundled, centertrack_metadata, load_monocular, load_network
+from wibam_core.networks.dla34.network import CARD
+from wibam_core.networks.registry import load_network, read_card
 
 Shapes = dict[str, tuple[int, ...]]
 
@@ -92,14 +93,14 @@ def test_the_file_loads_and_says_where_it_comes_from(own_shapes: Shapes, tmp_pat
     out = tmp_path / "new folder" / "out.safetensors"
     with safetensors.safe_open(str(out), framework="pt") as file:
         metadata = file.metadata()
-    assert metadata == centertrack_metadata() | {
+    assert metadata == metadata_of(CARD) | {
         "source_name": "nuScenes_é.pth",
         "source_sha256": hashlib.sha256(source.read_bytes()).hexdigest(),
         "licence": LICENCE_NOTE,
     }
     assert "non-commercial" in LICENCE_NOTE
     assert metadata["classes"].startswith("car,truck,bus,trailer,construction_vehicle,pedestrian")
-    network = load_monocular(out)
+    network = load_network(out).module
     assert isinstance(network, DLA34)
     assert not network.training
     for name, value in network.state_dict().items():
@@ -108,15 +109,10 @@ def test_the_file_loads_and_says_where_it_comes_from(own_shapes: Shapes, tmp_pat
     first = out.read_bytes()
     convert_checkpoint(source, out)
     assert out.read_bytes() == first
-    with pytest.raises(InvalidWeights, match="family is 'centertrack-dla34'"):
-        load_network(out)
+    assert read_card(out).licence == LICENCE_NOTE
     save_file(load_file(str(out)), str(out), metadata=metadata | {"classes": "car"})
-    with pytest.raises(InvalidWeights, match="classes is 'car'"):
-        load_monocular(out)
-
-
-def test_bundled_weights_are_still_the_small_network() -> None:
-    assert isinstance(load_monocular(bundled("mono_small.safetensors")), SmallNetwork)
+    with pytest.raises(InvalidWeights, match=r"tensor hm.2.weight has shape \(10, 256, 1, 1\), not \(1, 256, 1, 1\)"):
+        load_network(out)
 
 
 def test_heads_that_nothing_reads_are_dropped_and_told(own_shapes: Shapes, tmp_path: Path) -> None:
@@ -229,5 +225,5 @@ def test_the_output_never_takes_the_checkpoints_place(own_shapes: Shapes, tmp_pa
     with pytest.raises(InvalidWeights, match=r"does not end in \.safetensors"):
         convert_checkpoint(source, source)
     with pytest.raises(InvalidWeights, match="not a safetensors file") as caught:
-        load_monocular(source)
+        load_network(source)
     assert "wibam weights convert" in caught.value.hint

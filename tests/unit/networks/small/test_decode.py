@@ -17,7 +17,7 @@ from wibam_core.networks.small.decode import (
     gather_around,
     standard_deviations,
 )
-from wibam_core.networks.small.export import SMALL_CHANNELS
+from wibam_core.networks.small.export import channels
 from wibam_core.placing import Decode
 
 SIZES = torch.tensor(MEAN_SIZES_M)
@@ -230,7 +230,7 @@ def test_peaks_are_local_maxima_best_first() -> None:
 def test_all_cells_that_know_a_vehicle_have_a_say(cell: tuple[int, int], told_by: list[int]) -> None:
     """Each cell tells the same vehicle by its own offset, but for an error of its own."""
     rng = np.random.default_rng(5)
-    maps = {name: torch.zeros(2, channels, 6, 8) for name, channels in SMALL_CHANNELS.items()}
+    maps = {name: torch.zeros(2, count, 6, 8) for name, count in channels(len(SIZES)).items()}
     truth = {name: rng.normal(size=len(maps[name][0])) for name in ("box2d", "centre3d", "footprint", "size", "yaw")}
     errors = rng.normal(size=5)
     for number in told_by:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import copy
 import json
 from dataclasses import fields
 from pathlib import Path
@@ -12,16 +11,17 @@ import onnx
 import pytest
 import torch
 
+from wibam_core.documents.model_card import ModelCard
 from wibam_core.errors import InvalidWeights
 from wibam_core.models.frames import INPUT_WIDTH_PX, Frame, prepare_image, to_input
+from wibam_core.models.network import Network, predict
 from wibam_core.models.trunk import STRIDE, TrunkShape
-from wibam_core.models.usage import Usage
+from wibam_core.models.weights import bundled
+from wibam_core.networks.registry import load_network, load_to_detect
 from wibam_core.networks.small.architecture import MEAN_SIZES_M, REFERENCE_FOCAL_PX, SmallNetwork, SmallOutputs
-from wibam_core.networks.small.export import SMALL_CHANNELS, export_small
+from wibam_core.networks.small.export import channels, small_onnx
+from wibam_core.networks.small.network import CARD, SmallMonocular
 from wibam_core.networks.small.onnx_network import OnnxNetwork
-from wibam_core.networks.small.predict import predict
-from wibam_core.networks.weights import bundled, load_network
-from wibam_core.road_users import CLASSES
 from wibam_core.synthetic.sampling import sample_views
 
 TINY = TrunkShape(channels=(8, 8, 16, 16, 16), blocks=(1, 0, 1, 0), neck=8)
@@ -32,6 +32,18 @@ pytestmark = pytest.mark.filterwarnings("ignore::DeprecationWarning")
 @pytest.fixture(scope="module", autouse=True)
 def one_thread() -> None:
     torch.set_num_threads(1)
+
+
+#: Of the bundled weights' classes.
+CHANNELS = channels(len(CARD.classes))
+
+
+def export_small(network: SmallNetwork, path: Path, card: ModelCard = CARD) -> None:
+    path.write_bytes(small_onnx(network, card))
+
+
+def exported_of(network: SmallNetwork, threads: int | None = None) -> OnnxNetwork:
+    return OnnxNetwork.of(small_onnx(network, CARD), threads)
 
 
 def random_network() -> SmallNetwork:
@@ -48,7 +60,9 @@ def random_network() -> SmallNetwork:
 
 @pytest.fixture(scope="module")
 def trained() -> SmallNetwork:
-    return load_network(bundled("mono_small.safetensors"))
+    network = load_network(bundled("mono_small.safetensors")).module
+    assert isinstance(network, SmallNetwork)
+    return network
 
 
 @pytest.fixture(scope="module")
@@ -68,15 +82,15 @@ def assert_same_maps(network: SmallNetwork, exported: OnnxNetwork, images: torch
     with torch.inference_mode():
         want = network(images)
     found = exported(images)
-    for name, channels in SMALL_CHANNELS.items():
+    for name, count in CHANNELS.items():
         expected, values = getattr(want, name), getattr(found, name)
         assert values.dtype == torch.float32
-        assert values.shape[1] == channels
+        assert values.shape[1] == count
         np.testing.assert_allclose(values.numpy(), expected.numpy(), atol=1e-3, rtol=0, err_msg=name)
 
 
 def test_convention_outputs_are_the_fields_of_the_networks_outputs() -> None:
-    assert list(SMALL_CHANNELS) == [field.name for field in fields(SmallOutputs)]
+    assert list(CHANNELS) == [field.name for field in fields(SmallOutputs)]
 
 
 @pytest.mark.parametrize("shape", [(1, 64, 96), (3, 288, 512), (2, 32, 32), (1, 384, 512), (5, 160, 224)])
@@ -86,7 +100,7 @@ def test_maps_agree_at_any_size_and_batch(exported: Path, shape: tuple[int, int,
 
 
 def test_maps_of_the_bundled_weights_agree_on_rendered_views(trained: SmallNetwork, frames: list[Frame]) -> None:
-    network = OnnxNetwork.of(trained)
+    network = exported_of(trained)
     prepared = np.stack([prepare_image(frame.image) for frame in frames])
     assert_same_maps(trained, network, to_input(prepared))
     assert_same_maps(trained, network, to_input(prepared[:1]))
@@ -95,8 +109,8 @@ def test_maps_of_the_bundled_weights_agree_on_rendered_views(trained: SmallNetwo
 
 @pytest.mark.parametrize("decode", ["plane", "depth"])
 def test_the_same_vehicles_are_found(trained: SmallNetwork, frames: list[Frame], decode: str) -> None:
-    found = predict(OnnxNetwork.of(trained), frames, decode=decode, min_score=0.2, batch_size=2)  # type: ignore[arg-type]
-    want = predict(trained, frames, decode=decode, min_score=0.2, batch_size=2)  # type: ignore[arg-type]
+    found = predict(exported_of(trained), frames, decode=decode, min_score=0.2)  # type: ignore[arg-type]
+    want = predict(SmallMonocular(trained), frames, decode=decode, min_score=0.2)  # type: ignore[arg-type]
     total = 0
     for ours, theirs in zip(found, want, strict=True):
         total += len(theirs)
@@ -110,12 +124,14 @@ def test_the_same_vehicles_are_found(trained: SmallNetwork, frames: list[Frame],
 
 @pytest.mark.skipif(not torch.cuda.is_available(), reason="there is no GPU that torch can use")
 def test_a_network_on_a_gpu_finds_the_same_and_can_be_exported(trained: SmallNetwork, frames: list[Frame]) -> None:
-    network = load_network(bundled("mono_small.safetensors")).cuda()
-    want = list(predict(trained, frames, decode="plane", min_score=0.2))
-    for runnable in (network, OnnxNetwork.of(network)):
+    network = load_network(bundled("mono_small.safetensors"))
+    network.module.cuda()
+    want = list(predict(SmallMonocular(trained), frames, decode="plane", min_score=0.2))
+    detectors: tuple[Network, ...] = (network, network.runnable(torch.device("cuda")))
+    for runnable in detectors:
         for ours, theirs in zip(predict(runnable, frames, decode="plane", min_score=0.2), want, strict=True):
             np.testing.assert_allclose(ours.boxes, theirs.boxes, atol=0.05)
-    assert network.mean_sizes_m.is_cuda
+    assert next(network.module.parameters()).is_cuda
 
 
 def test_the_same_file_gives_the_same_boxes_each_time(
@@ -133,8 +149,8 @@ def test_the_same_file_gives_the_same_boxes_each_time(
 
 def test_more_threads_find_the_same() -> None:
     images = to_input(np.random.default_rng(2).integers(0, 256, (2, 96, 128, 3), dtype=np.uint8))
-    one, two = (OnnxNetwork.of(random_network(), threads)(images) for threads in (1, 2))
-    for name in SMALL_CHANNELS:
+    one, two = (exported_of(random_network(), threads)(images) for threads in (1, 2))
+    for name in CHANNELS:
         torch.testing.assert_close(getattr(one, name), getattr(two, name), atol=1e-5, rtol=0)
 
 
@@ -142,8 +158,8 @@ def test_the_file_says_what_one_needs_to_know(exported: Path) -> None:
     assert [file.name for file in exported.parent.iterdir()] == ["weights.onnx"]
     model = onnx.load(str(exported))
     said = {entry.key: entry.value for entry in model.metadata_props}
-    assert said["family"] == "wibam-mono"
-    assert json.loads(said["classes"]) == [str(vehicle) for vehicle in CLASSES]
+    assert said["family"] == "wibam-small"
+    assert said["classes"] == "car,van,truck,bus"
     assert int(said["stride"]) == STRIDE
     assert int(said["input_width_px"]) == INPUT_WIDTH_PX
     assert float(said["reference_focal_px"]) == REFERENCE_FOCAL_PX
@@ -152,11 +168,11 @@ def test_the_file_says_what_one_needs_to_know(exported: Path) -> None:
     assert [entry.version for entry in model.opset_import] == [18]
 
 
-def test_the_file_says_how_it_is_to_be_used(exported: Path, tmp_path: Path) -> None:
-    assert OnnxNetwork.load(exported).usage == Usage("plane")
-    usage = Usage("fused", {"position": 1.7, "yaw": 0.8})
-    export_small(random_network(), tmp_path / "weights.onnx", usage)
-    assert OnnxNetwork.load(tmp_path / "weights.onnx").usage == usage
+def test_the_file_says_what_its_network_is(tmp_path: Path) -> None:
+    card = CARD.model_copy(update={"decode": "fused", "sd_factors": {"position": 1.7, "yaw": 0.8}, "licence": "gratis"})
+    export_small(random_network(), tmp_path / "weights.onnx", card)
+    assert OnnxNetwork.load(tmp_path / "weights.onnx").card == card
+    assert load_to_detect(tmp_path / "weights.onnx").card == card
 
 
 @pytest.mark.parametrize("width_px", ["0", "1000", "4096", "-640", "٦٤٠", "wide", ""])
@@ -171,16 +187,14 @@ def test_a_width_that_cannot_be_is_refused(exported: Path, tmp_path: Path, width
 
 def test_a_file_sees_images_as_wide_as_its_network(tmp_path: Path, trained: SmallNetwork, frames: list[Frame]) -> None:
     """The same frame at another width: other boxes, the same from torch and from the file."""
-    trained = copy.deepcopy(trained)
     found = {}
     for width_px in (640, 960):
-        trained.input_width_px = width_px
-        export_small(trained, tmp_path / "weights.onnx")
+        card = CARD.model_copy(update={"input_width_px": width_px})
+        export_small(trained, tmp_path / "weights.onnx", card)
         exported = OnnxNetwork.load(tmp_path / "weights.onnx")
-        assert exported.input_width_px == width_px
-        (ours,), (theirs,) = (
-            list(predict(network, frames[:1], decode="plane", min_score=0.2)) for network in (trained, exported)
-        )
+        assert exported.card.input_width_px == width_px
+        both: tuple[Network, ...] = (SmallMonocular(trained, card), exported)
+        (ours,), (theirs,) = (list(predict(network, frames[:1], decode="plane", min_score=0.2)) for network in both)
         assert len(ours) > 0
         np.testing.assert_allclose(ours.boxes, theirs.boxes, atol=1e-2)
         found[width_px] = ours
@@ -221,13 +235,12 @@ def test_files_of_another_kind_are_refused(tmp_path: Path) -> None:
     (tmp_path / "empty.onnx").write_bytes(b"")
     assert "empty.onnx is no ONNX network" in refused(tmp_path / "empty.onnx")
     assert "no ONNX network" in refused(bundled("mono_small.safetensors"))
-    assert "family is 'wibam-centre', not 'wibam-mono'" in refused(bundled("detector2d.onnx"))
+    assert "family is 'wibam-centre', not 'wibam-small'" in refused(bundled("detector2d.onnx"))
 
 
 @pytest.mark.parametrize(
     ("key", "value"),
     [
-        ("classes", '["car"]'),
         ("stride", "8"),
         ("reference_focal_px", "1.0"),
         ("uncertainty_groups", "[]"),

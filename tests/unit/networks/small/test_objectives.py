@@ -11,11 +11,11 @@ from tests.unit.training.test_multiview import loop_loss
 from wibam_core.config import FinetuneConfig, PipelineConfig
 from wibam_core.errors import InvalidOption
 from wibam_core.models.frames import prepare_camera
-from wibam_core.models.usage import SMALL_DECODES
 from wibam_core.networks.small.architecture import MEAN_SIZES_M, SmallOutputs
 from wibam_core.networks.small.decode import boxes3d, gather
 from wibam_core.networks.small.losses import LossWeights, lifted_loss
 from wibam_core.networks.small.objectives import CombinedObjective, LiftedObjective, PaperObjective, objective_of
+from wibam_core.networks.small.onnx_network import DECODES
 from wibam_core.networks.small.targets import Targets, encode
 from wibam_core.training.augment import mirror, mirror_camera
 from wibam_core.training.dataset import ImageCache, SiteView, site_views
@@ -77,7 +77,7 @@ def as_pairs(views: OtherViews) -> set[tuple[int, int, tuple[float, ...]]]:
 def test_all_ways_to_place_boxes_by_their_footprints_are_trained_alike(labelled: list[LabelledView]) -> None:
     targets = encode(labelled[:4])
     outputs = random_outputs(targets)
-    loss = {decode: LiftedObjective(decode)(outputs, targets, SIZES, None) for decode in SMALL_DECODES}
+    loss = {decode: LiftedObjective(decode)(outputs, targets, SIZES, None) for decode in DECODES}
     alike = {decode for decode, parts in loss.items() if all(torch.equal(parts[k], loss["refined"][k]) for k in parts)}
     assert alike == {"ground", "fitted", "refined"}
 
@@ -277,10 +277,6 @@ def test_a_box_that_is_not_finite_is_not_passed_over() -> None:
         ({"method": "paper", "decode": "ground"}, r"finetune\.decode: method 'paper' teaches no footprints"),
         ({"method": "paper", "decode": "refined"}, r"finetune\.decode: method 'paper' teaches no footprints"),
         ({"method": "paper", "decode": "fitted"}, r"finetune\.decode: method 'paper' teaches no footprints"),
-        (
-            {"network": "custom", "input_width_px": 640},
-            r"finetune\.input_width_px: network 'custom' sees images as Cent",
-        ),
         ({"input_width_px": 650}, r"finetune\.input_width_px"),
         ({"multiview_weight": 0.2}, r"finetune\.multiview_weight: it does nothing with method 'lifted'"),
         ({"method": "paper", "multiview_weight": 0.2}, r"finetune\.multiview_weight: .* only with 'combined'"),

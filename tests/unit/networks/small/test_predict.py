@@ -1,6 +1,8 @@
 """From frames of any size to vehicles in the world, one answer per frame, in order."""
 
+from collections.abc import Iterable, Iterator
 from dataclasses import replace
+from typing import Any
 
 import cv2
 import numpy as np
@@ -14,12 +16,16 @@ from wibam_core.models.frames import Frame, prepare_camera, prepare_image, to_in
 from wibam_core.models.peaks import find_peaks
 from wibam_core.models.second_look import Edges, SecondLook
 from wibam_core.models.trunk import TrunkShape
+from wibam_core.models.weights import bundled
+from wibam_core.networks.registry import load_network
 from wibam_core.networks.small.architecture import SmallNetwork, SmallOutputs
 from wibam_core.networks.small.decode import boxes2d_px, boxes3d, gather_around, standard_deviations
-from wibam_core.networks.small.predict import kept_peaks, predict, predict_each
+from wibam_core.networks.small.network import SmallMonocular
+from wibam_core.networks.small.predict import kept_peaks
 from wibam_core.networks.small.reconcile import reconciled
-from wibam_core.networks.weights import bundled, load_network
 from wibam_core.placing import Decode
+from wibam_core.road_users import BODIES
+from wibam_core.scene import Vehicles3D
 from wibam_core.synthetic.sampling import sample_views
 
 TINY = TrunkShape(channels=(8, 8, 8, 8, 8), blocks=(0, 0, 0, 0), neck=8)
@@ -32,6 +38,24 @@ def network() -> SmallNetwork:
     made = SmallNetwork(TINY)
     torch.nn.init.normal_(made.heads["heat"].get_parameter("weight"), std=0.5)
     return made.eval()
+
+
+def bundled_network() -> SmallNetwork:
+    """It tells apart the first classes of the catalogue, in its order."""
+    network = load_network(bundled("mono_small.safetensors")).module
+    assert isinstance(network, SmallNetwork)
+    return network
+
+
+def predict(
+    network: SmallNetwork, frames: Iterable[Frame], *, decode: Decode, min_score: float, batch_size: int = 8
+) -> Iterator[Vehicles3D]:
+    placed = predict_each(network, frames, decodes=(decode,), min_score=min_score, batch_size=batch_size)
+    return (found for (found,) in placed)
+
+
+def predict_each(network: SmallNetwork, frames: Iterable[Frame], **options: Any) -> Iterator[tuple[Vehicles3D, ...]]:
+    return SmallMonocular(network).predict_each(frames, **options)
 
 
 def frame(width: int, height: int, number: int, camera_size: tuple[int, int] | None = None) -> Frame:
@@ -57,7 +81,7 @@ def test_every_frame_gets_one_answer_in_order_whatever_the_batches(network: Smal
 
 
 def test_fitted_boxes_agree_with_the_cells_about_their_peaks() -> None:
-    network = load_network(bundled("mono_small.safetensors"))
+    network = bundled_network()
     view = next(sample_views(990_000, "site", 1, (640, 384)))
     one = Frame(view.image, view.camera, "cam", 0)
     cameras = CameraTensors.from_cameras([prepare_camera(one.camera)], torch.float64)
@@ -68,7 +92,9 @@ def test_fitted_boxes_agree_with_the_cells_about_their_peaks() -> None:
     kept = torch.from_numpy(np.isin(peaks.scores.double().numpy(), found.scores))
     values = gather_around(outputs, peaks.image, peaks.cells, peaks.classes)[kept]
     start = boxes3d(values, cameras, network.mean_sizes_m, "ground")
-    boxes, sd = reconciled(values, start, standard_deviations(values, start, cameras, "ground"), cameras)
+    bodies = torch.tensor(BODIES)[values.classes]
+    sd = standard_deviations(values, start, cameras, "ground")
+    boxes, sd = reconciled(values, start, sd, cameras, bodies)
     np.testing.assert_allclose(found.boxes, boxes.numpy(), atol=1e-6)
     np.testing.assert_allclose(found.sd, sd.numpy(), rtol=1e-6)
     assert int((boxes != start).any(dim=1).sum()) > 2
@@ -76,7 +102,7 @@ def test_fitted_boxes_agree_with_the_cells_about_their_peaks() -> None:
 
 def test_refined_boxes_agree_with_a_second_look_at_the_images_own_pixels() -> None:
     """Two images of different sizes, as a camera may have them, in one batch and one by one."""
-    network = load_network(bundled("mono_small.safetensors"))
+    network = bundled_network()
     views = list(sample_views(990_000, "site", 2, (1280, 768)))
     small = cv2.resize(views[1].image, (960, 576), interpolation=cv2.INTER_AREA)
     frames = [
@@ -98,14 +124,14 @@ def test_refined_boxes_agree_with_a_second_look_at_the_images_own_pixels() -> No
         edges = Edges((seen.px + 0.5) / scale - 0.5, seen.sd_px / scale)
         start = boxes3d(values, cameras, network.mean_sizes_m, "ground")
         sd = standard_deviations(values, start, cameras, "ground")
-        boxes, sd = reconciled(values, start, sd, cameras, edges)
+        boxes, sd = reconciled(values, start, sd, cameras, torch.tensor(BODIES)[values.classes], edges)
         assert len(answer) > 4
         np.testing.assert_allclose(answer.boxes, boxes.numpy(), atol=1e-3)
         np.testing.assert_allclose(answer.sd, sd.numpy(), rtol=1e-3)
 
 
 def test_several_ways_to_place_boxes_take_one_run_of_the_network() -> None:
-    network = load_network(bundled("mono_small.safetensors"))
+    network = bundled_network()
     views = list(sample_views(990_000, "site", 3, (640, 384)))
     frames = [Frame(view.image, view.camera, "cam", number) for number, view in enumerate(views)]
     decodes: tuple[Decode, ...] = ("refined", "plane", "depth", "fitted")
@@ -126,7 +152,7 @@ def test_several_ways_to_place_boxes_take_one_run_of_the_network() -> None:
 
 def test_a_second_look_places_vehicles_better() -> None:
     """Without a hand-made case: the bundled network on simulated views of an elevated camera."""
-    network = load_network(bundled("mono_small.safetensors"))
+    network = bundled_network()
     views = list(sample_views(310_500, "site", 6, (1280, 720)))
     frames = [Frame(view.image, view.camera, "cam", number) for number, view in enumerate(views)]
 

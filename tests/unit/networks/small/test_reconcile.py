@@ -44,6 +44,12 @@ def cells_of_px(pixels: Tensor) -> Tensor:
     return (pixels - 1.5) / 4
 
 
+def fitted(
+    values: PeakValues, boxes: Tensor, sd: Tensor, cameras: CameraTensors, edges: Edges | None = None
+) -> tuple[Tensor, Tensor]:
+    return reconciled(values, boxes, sd, cameras, torch.tensor(BODIES)[values.classes], edges)
+
+
 def vehicles(n: int = 24, seed: int = 0) -> tuple[Tensor, Tensor]:
     """Boxes (n, 7) in view of the camera, not near its border, and classes (n,)."""
     rng = np.random.default_rng(seed)
@@ -113,7 +119,7 @@ def both(values: PeakValues) -> tuple[Tensor, Tensor, Tensor]:
     """Boxes where the fits start, then fitted ones and their standard deviations."""
     cameras = CAMERAS[: len(values.image)]
     start = boxes3d(values, cameras, SIZES, "fitted")
-    found, sd = reconciled(values, start, standard_deviations(values, start, cameras, "fitted"), cameras)
+    found, sd = fitted(values, start, standard_deviations(values, start, cameras, "fitted"), cameras)
     return start, found, sd
 
 
@@ -212,9 +218,9 @@ def test_a_vehicle_that_the_border_cuts_is_as_long_as_its_heads_say() -> None:
     low, high = torch.stack([left, top], dim=1), torch.stack([width - 1, bottom], dim=1)
     centre = resized_px((low + high) / 2, 1 / STRIDE) - values.cells
     seen = replace(values, box2d=torch.cat([centre, ((high - low) / STRIDE).log()], dim=1))
-    found, _ = reconciled(seen, boxes, torch.ones_like(boxes), narrow)
+    found, _ = fitted(seen, boxes, torch.ones_like(boxes), narrow)
     torch.testing.assert_close(found, boxes, atol=1e-3, rtol=0)
-    found, _ = reconciled(seen, boxes, torch.ones_like(boxes), cameras)
+    found, _ = fitted(seen, boxes, torch.ones_like(boxes), cameras)
     assert float((found - boxes).abs().max()) > 0.1
 
 
@@ -256,7 +262,7 @@ def test_edges_of_a_second_look_count_as_far_as_they_are_sure() -> None:
 
     def error(px: Tensor, sd_px: float) -> float:
         given = Edges(px, torch.full_like(px, sd_px))
-        found, _ = reconciled(spoilt, start, torch.ones_like(start), CAMERAS[: len(boxes)], given)
+        found, _ = fitted(spoilt, start, torch.ones_like(start), CAMERAS[: len(boxes)], given)
         return float(torch.linalg.norm((found - boxes)[:, :2], dim=1).mean())
 
     usual = float(torch.linalg.norm((plain - boxes)[:, :2], dim=1).mean())
@@ -274,7 +280,7 @@ def test_edges_of_a_second_look_may_turn_vehicles_more_than_those_of_2d_boxes() 
     start, plain, _ = both(values)
     px = outline_px(boxes, classes)
     as_sure = 0.7 + 0.03 * (px[:, 2:] - px[:, :2]).repeat(1, 2)
-    beside, _ = reconciled(
+    beside, _ = fitted(
         values, start, torch.ones_like(start), CAMERAS[:60], Edges(px, (as_sure.square() - 0.3**2).sqrt())
     )
     by_boxes, by_edges = (float(wrap_angle(found[:, 6] - boxes[:, 6]).abs().mean()) for found in (plain, beside))
@@ -287,11 +293,11 @@ def test_vehicles_do_not_hide_edges_of_a_second_look() -> None:
     values = blurred(told(boxes, classes, (-0.5, -2.0, -2.5, -3.0, -0.5)), seed=1)  # so that edges change something
     edges = Edges(outline_px(boxes, classes), torch.full((24, 4), 0.5, dtype=torch.float64))
     start = boxes + torch.tensor([0.5, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0])
-    alone, _ = reconciled(values, start, torch.ones_like(start), CAMERAS[:24], edges)
+    alone, _ = fitted(values, start, torch.ones_like(start), CAMERAS[:24], edges)
     one = {name: value[[0, 0]] for name, value in vars(values).items()}
     one["box2d"] = one["box2d"] + torch.tensor([[0.0] * 4, [0.0, 0.5, 0.0, 0.0]])  # the same, but lower
     both_px = Edges(edges.px[[0, 0]], edges.sd_px[[0, 0]])
-    beside, _ = reconciled(PeakValues(**one), start[[0, 0]], torch.ones(2, 7).double(), CAMERAS[:1], both_px)
+    beside, _ = fitted(PeakValues(**one), start[[0, 0]], torch.ones(2, 7).double(), CAMERAS[:1], both_px)
     torch.testing.assert_close(beside[0], alone[0])
 
 

@@ -14,13 +14,14 @@ from wibam_core.errors import NonFiniteLoss
 from wibam_core.geometry.box3d import corners
 from wibam_core.geometry.torch_ops import CameraTensors
 from wibam_core.models.frames import Frame
-from wibam_core.networks.dla34 import train as dla34
+from wibam_core.models.network import predict
 from wibam_core.networks.dla34.architecture import DLA34, HEADS
-from wibam_core.networks.dla34.centertrack import InputWarp, boxes3d, decode_vehicles, predict_vehicles, read_heads
+from wibam_core.networks.dla34.centertrack import InputWarp, boxes3d, decode_vehicles, read_heads
+from wibam_core.networks.dla34.classes import NUSCENES_CLASSES, RoadUserChannels
 from wibam_core.networks.dla34.losses import lifted_parts
+from wibam_core.networks.dla34.network import CenterTrack, input_view, stacked
 from wibam_core.networks.dla34.targets import encode
-from wibam_core.networks.dla34.train import TrainableDLA34, input_view, stacked
-from wibam_core.networks.weights import load_centertrack, save_network
+from wibam_core.networks.registry import load_network, save_network
 from wibam_core.progress import silent
 from wibam_core.training.dataset import SiteView, site_views
 from wibam_core.training.finetune import FinetuneResult, SiteDataset, finetune
@@ -35,8 +36,11 @@ def site(tmp_path_factory: pytest.TempPathFactory) -> TinySite:
 
 @pytest.fixture(autouse=True)
 def _small_input_and_one_thread(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(dla34, "LONG_SIDE_PX", 128)
+    monkeypatch.setattr(CenterTrack, "long_side_px", 128)
     torch.set_num_threads(1)
+
+
+CLASSES = RoadUserChannels.of(NUSCENES_CLASSES)
 
 
 def views_of(site: TinySite) -> list[SiteView]:
@@ -62,7 +66,7 @@ def options(**values: object) -> FinetuneConfig:
 def train(site: TinySite, scratch: Path, config: FinetuneConfig, start: DLA34 | None = None) -> FinetuneResult:
     views = views_of(site)
     dataset = SiteDataset(site.frames, site.rig, views[:2], views[9:10])
-    return finetune(start or network(), dataset, config, silent, scratch)
+    return finetune(CenterTrack(start or network()), dataset, config, silent, scratch)
 
 
 # --- learning -----------------------------------------------------------------------------------
@@ -80,12 +84,13 @@ def test_the_loss_falls(site: TinySite, tmp_path: Path, method: str, decode: str
 def test_gradients_reach_the_heads(site: TinySite, method: str, silent_heads: set[str]) -> None:
     """Under the published loss boxes are placed by all heads but the 2D box's size."""
     trained = network()
-    trainable = TrainableDLA34(trained, options(method=method, decode="depth"))
+    trainable = CenterTrack(trained)
     sources = views_of(site)[:2]
     read = trainable.reader(Path("unused"), sources, site.frames)
     views = [read(0), read(1)]
     others = OtherCameras(site.rig).of(sources, [False, False])
-    trainable.losses(trainable.forward(views, slice(None)), views, others)["total"].backward()
+    config = options(method=method, decode="depth")
+    trainable.losses(trainable.maps(views, slice(None)), views, others, config)["total"].backward()
     reached = {
         name
         for name in HEADS
@@ -104,17 +109,17 @@ def test_box_heads_of_the_published_code_are_an_option(site: TinySite, tmp_path:
 def test_resumes_equal_to_the_bit(site: TinySite, tmp_path: Path) -> None:
     views = views_of(site)
     dataset = SiteDataset(site.frames, site.rig, views[:4], views[9:10])
-    whole = finetune(network(), dataset, options(), silent, tmp_path / "whole")
+    whole = finetune(CenterTrack(network()), dataset, options(), silent, tmp_path / "whole")
 
     def stop_in_the_second_epoch(fraction: float, message: str = "", **figures: float) -> None:
         if fraction == 1.0:
             raise InterruptedError("stop")
 
     with pytest.raises(InterruptedError):
-        finetune(network(), dataset, options(), stop_in_the_second_epoch, tmp_path / "cut")
-    resumed = finetune(network(), dataset, options(), silent, tmp_path / "cut")
-    for name, value in whole.network.state_dict().items():
-        assert torch.equal(value, resumed.network.state_dict()[name]), name
+        finetune(CenterTrack(network()), dataset, options(), stop_in_the_second_epoch, tmp_path / "cut")
+    resumed = finetune(CenterTrack(network()), dataset, options(), silent, tmp_path / "cut")
+    for name, value in whole.network.module.state_dict().items():
+        assert torch.equal(value, resumed.network.module.state_dict()[name]), name
     assert whole.epochs == resumed.epochs
 
 
@@ -128,13 +133,13 @@ def test_a_loss_that_is_not_finite_is_an_error(site: TinySite, tmp_path: Path) -
 # --- what is saved ------------------------------------------------------------------------------
 def test_what_was_trained_and_saved_finds_the_same_boxes(site: TinySite, tmp_path: Path) -> None:
     trained = train(site, tmp_path, options(steps=1)).network
-    assert isinstance(trained, DLA34)
-    trained.to(memory_format=torch.contiguous_format)  # as loaded: another order of summation gives other last digits
-    save_network(trained, tmp_path / "weights.safetensors", {"licence": "theirs"})
+    # as loaded: another order of summation gives other last digits
+    trained.module.to(memory_format=torch.contiguous_format)  # type: ignore[call-overload]
+    save_network(trained, tmp_path / "weights.safetensors")
     frame = Frame(site.frames.image("north", 0), site.rig["north"], "north", 0)
     before, after = (
-        next(predict_vehicles(one, [frame], min_score=0.01, long_side_px=128))
-        for one in (trained, load_centertrack(tmp_path / "weights.safetensors"))
+        next(predict(one, [frame], decode="depth", min_score=0.01))
+        for one in (trained, load_network(tmp_path / "weights.safetensors"))
     )
     assert len(before) > 0
     np.testing.assert_array_equal(before.boxes, after.boxes)
@@ -165,7 +170,7 @@ def heads_of(number: int) -> tuple[dict[str, torch.Tensor], InputWarp]:
     """The maps of a perfect network, made of the targets."""
     view, warp = labelled(number)
     width, height = (side // 4 for side in warp.input_px)
-    targets = encode([view], height, width)
+    targets = encode([view], height, width, CLASSES)
     heads = {name: torch.zeros(1, channels, height, width, dtype=torch.float64) for name, channels in HEADS.items()}
     heads["hm"] -= 9.0
     scale = np.sqrt(view.camera.K[0, 0] * view.camera.K[1, 1]) / 633.0
@@ -193,10 +198,10 @@ def heads_of(number: int) -> tuple[dict[str, torch.Tensor], InputWarp]:
 @pytest.mark.parametrize("number", range(3))
 def test_inference_decodes_what_is_taught_and_the_loss_is_then_small(number: int, decode: str) -> None:
     heads, warp = heads_of(number)
-    found = decode_vehicles(heads, warp, CAMERAS[number], 0.3, decode)
+    found = decode_vehicles(heads, warp, CAMERAS[number], CLASSES, min_score=0.3, decode=decode)
     np.testing.assert_allclose(found.boxes, BOXES, atol=1e-6)
     view, _ = labelled(number)
-    targets = encode([view], *heads["hm"].shape[2:])
+    targets = encode([view], *heads["hm"].shape[2:], CLASSES)
     parts = lifted_parts(read_heads(heads, targets.image, targets.cells), targets, decode)
     for name in ("amodel_offset", "dep", "dim", "corners"):
         assert float(parts[name]) == pytest.approx(0, abs=1e-6), name
@@ -208,9 +213,9 @@ def test_boxes_in_the_loss_are_those_of_inference(number: int, decode: str) -> N
     torch.manual_seed(number)
     heads, warp = heads_of(number)
     heads = {name: values + 0.1 * torch.randn_like(values) * (name != "hm") for name, values in heads.items()}
-    inferred = decode_vehicles(heads, warp, CAMERAS[number], 0.3, decode)
+    inferred = decode_vehicles(heads, warp, CAMERAS[number], CLASSES, min_score=0.3, decode=decode)
     view, _ = labelled(number)
-    targets = encode([view], *heads["hm"].shape[2:])
+    targets = encode([view], *heads["hm"].shape[2:], CLASSES)
     cameras = CameraTensors.from_cameras([warp.camera(CAMERAS[number])], torch.float64)
     lossy = boxes3d(read_heads(heads, targets.image, targets.cells), cameras, decode)
     np.testing.assert_allclose(lossy.numpy(), inferred.boxes, atol=1e-9)
@@ -221,7 +226,7 @@ def test_unknown_fronts_may_be_either_and_vehicles_without_a_label_teach_no_3d()
     view, _ = labelled(0)
 
     def rot(**changes: object) -> float:
-        targets = encode([replace(view, **changes)], *heads["hm"].shape[2:])
+        targets = encode([replace(view, **changes)], *heads["hm"].shape[2:], CLASSES)
         return float(lifted_parts(read_heads(heads, targets.image, targets.cells), targets, "plane")["rot"])
 
     turned = BOXES + [0, 0, 0, 0, 0, 0, np.pi]
@@ -236,7 +241,7 @@ def test_peaks_are_one_at_the_centre_and_ignored_regions_are_not_judged() -> Non
     view, warp = labelled(0)
     width, height = (side // 4 for side in warp.input_px)
     ignored = np.array([[0.0, 0.0, 80.0, 40.0]])
-    targets = encode([replace(view, ignored=ignored)], height, width)
+    targets = encode([replace(view, ignored=ignored)], height, width, CLASSES)
     assert targets.judged[0, 0, :10, :20].sum() == 0
     assert targets.judged.sum() == height * width - 200
     (x, y), _ = targets.cells.tolist()
@@ -246,10 +251,9 @@ def test_peaks_are_one_at_the_centre_and_ignored_regions_are_not_judged() -> Non
     assert targets.heat[0, 1].max() == 1.0  # the van of our classes is a truck's row away: classes 0 and 2
 
 
-def test_the_input_is_that_of_inference_and_labels_follow_it(site: TinySite, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(dla34, "LONG_SIDE_PX", 800)
+def test_the_input_is_that_of_inference_and_labels_follow_it(site: TinySite) -> None:
     source = next(view for view in views_of(site) if view.camera_id == "east")
-    view = input_view(source, site.frames)
+    view = input_view(source, site.frames, 800)
     warp = InputWarp.of(640, 160)
     np.testing.assert_array_equal(view.image, warp.image(site.frames.image("east", source.time_ns)))
     uv, _ = view.camera.project(corners(source.labels.boxes3d))
