@@ -5,42 +5,17 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from wibam_core.geometry.box3d import HEIGHT, LENGTH, SIZE, WIDTH, XY, YAW, Z, footprints
+from wibam_core.geometry.box3d import HEIGHT, LENGTH, SIZE, WIDTH, XY, YAW, Z
 
 Array = NDArray[np.float64]
+
+#: Along (0) and across (1) the box, of its footprint's corners counter-clockwise; and the corner that follows each.
+_CORNER_SIGNS = np.array([[1.0, -1.0, -1.0, 1.0], [1.0, 1.0, -1.0, -1.0]])
+_NEXT = [1, 2, 3, 0]
 
 
 def _as_boxes(boxes: ArrayLike) -> Array:
     return np.asarray(boxes, dtype=np.float64).reshape(-1, 7)
-
-
-def _clip_convex(polygons: Array, normals: Array, offsets: Array) -> Array:
-    """Clip convex polygons (P, n, 2) by half-planes ``normals · x <= offsets`` (P, 2), (P,); gives (P, n + 1, 2).
-
-    Unused slots repeat the first vertex, which leaves the area alone; a polygon that vanishes becomes all zeros.
-    """
-    side = offsets[:, None] - np.einsum("pnk,pk->pn", polygons, normals)
-    after = np.roll(polygons, -1, axis=1)
-    side_after = np.roll(side, -1, axis=1)
-    inside = side >= 0
-    crosses = inside != (side_after >= 0)
-    with np.errstate(divide="ignore", invalid="ignore"):
-        t = np.where(crosses, side / (side - side_after), 0.0)
-    crossing = polygons + t[..., None] * (after - polygons)
-    n = polygons.shape[1]
-    slots = np.stack([polygons, crossing], axis=2).reshape(len(polygons), 2 * n, 2)
-    used = np.stack([inside, crosses], axis=2).reshape(len(polygons), 2 * n)
-    order = np.argsort(~used, axis=1, kind="stable")[:, : n + 1]
-    clipped = np.take_along_axis(slots, order[..., None], axis=1)
-    used = np.take_along_axis(used, order, axis=1)
-    clipped = np.where(used[..., None], clipped, clipped[:, :1])
-    return np.where(used[:, :1, None], clipped, 0.0)
-
-
-def _area(polygons: Array) -> Array:
-    after = np.roll(polygons, -1, axis=1)
-    cross = polygons[..., 0] * after[..., 1] - polygons[..., 1] * after[..., 0]
-    return 0.5 * np.abs(cross.sum(axis=1))
 
 
 def bev_intersection_paired(a: ArrayLike, b: ArrayLike) -> Array:
@@ -49,29 +24,50 @@ def bev_intersection_paired(a: ArrayLike, b: ArrayLike) -> Array:
 
 
 def _bev_intersection(a: Array, b: Array) -> Array:
+    """Overlap area (P,) of the footprints of boxes a (P, 7) and b (P, 7).
+
+    In a's own frame a is [−h_x, h_x] × [−h_y, h_y]. There the overlap at an x of a is as high as b's upper side lies
+    above b's lower one, both clamped to ±h_y, and its area is the integral of that: the sum, over b's edges in turn, of
+    the integrals of their clamped heights. This changes steadily with the boxes, so that edges that coincide need no
+    care.
+    """
     out = np.zeros(len(a))
     reach = 0.5 * (np.hypot(a[:, LENGTH], a[:, WIDTH]) + np.hypot(b[:, LENGTH], b[:, WIDTH]))
     near = np.hypot(*(a[:, XY] - b[:, XY]).T) < reach
-    if not near.any():
-        return out
-    a, b = a[near], b[near]
-    # In a's own frame a is axis-aligned, so that the four half-planes are exact.
-    c, s = np.cos(a[:, YAW]), np.sin(a[:, YAW])
-    world = footprints(b) - a[:, None, XY]
-    polygon = np.stack(
-        [
-            c[:, None] * world[..., 0] + s[:, None] * world[..., 1],
-            -s[:, None] * world[..., 0] + c[:, None] * world[..., 1],
-        ],
-        axis=-1,
-    )
-    for axis, half in ((0, 0.5 * a[:, LENGTH]), (1, 0.5 * a[:, WIDTH])):
-        for sign in (1.0, -1.0):
-            normal = np.zeros((len(a), 2))
-            normal[:, axis] = sign
-            polygon = _clip_convex(polygon, normal, half)
-    out[near] = _area(polygon)
+    if near.any():
+        out[near] = _near_intersection(a[near], b[near])
     return out
+
+
+def _near_intersection(a: Array, b: Array) -> Array:
+    x, y = _corners_in_frame(a, b)
+    half_x, half_y = 0.5 * a[:, LENGTH], 0.5 * a[:, WIDTH]
+    x_next, y_next = x[_NEXT], y[_NEXT]
+    begin, end = np.clip(x, -half_x, half_x), np.clip(x_next, -half_x, half_x)
+    along = x_next - x
+    begin_share, end_share = (
+        np.divide(at - x, along, out=np.zeros_like(along), where=along != 0) for at in (begin, end)
+    )
+    y_begin, y_end = y + begin_share * (y_next - y), y + end_share * (y_next - y)
+    low, high = np.clip(y_begin, -half_y, half_y), np.clip(y_end, -half_y, half_y)
+    middle = low + high
+    rise = y_end - y_begin
+    within = np.divide(high - low, rise, out=np.zeros_like(rise), where=rise != 0)
+    # The mean of a clamped linear function: where one end is beyond the clamp, more of the edge lies at that end.
+    mean = 0.5 * (middle + within * (y_begin + y_end - middle))
+    return np.maximum(-((end - begin) * mean).sum(axis=0), 0.0)
+
+
+def _corners_in_frame(a: Array, b: Array) -> tuple[Array, Array]:
+    """x and y (4, P), in the frames of boxes a (P, 7), of the footprints of boxes b (P, 7), counter-clockwise."""
+    c, s = np.cos(a[:, YAW]), np.sin(a[:, YAW])
+    dx, dy = (b[:, XY] - a[:, XY]).T
+    turn = b[:, YAW] - a[:, YAW]
+    turned = np.array([np.cos(turn), np.sin(turn)])
+    forward, left = 0.5 * b[:, LENGTH] * turned, 0.5 * b[:, WIDTH] * turned
+    x, y = c * dx + s * dy, c * dy - s * dx
+    along, across = _CORNER_SIGNS[..., None]
+    return x + along * forward[0] - across * left[1], y + along * forward[1] + across * left[0]
 
 
 def bev_iou_paired(a: ArrayLike, b: ArrayLike) -> Array:

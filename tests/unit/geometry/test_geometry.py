@@ -187,6 +187,17 @@ def test_iou_laws(seed: int) -> None:
     np.testing.assert_allclose(iou_3d_paired(a + shift, b + shift), iou_3d_paired(a, b), atol=1e-9)
 
 
+@given(st.floats(1, 12), st.floats(0.1, 1), st.floats(-np.pi, np.pi), st.floats(0, 1e-12), st.integers(0, 3))
+def test_edges_that_all_but_coincide_do_not_matter(
+    length_m: float, slimness: float, yaw_rad: float, off_m: float, quarters: int
+) -> None:
+    width_m = length_m * slimness
+    box = [20.0, -30.0, 1.0, length_m, width_m, 2.0, yaw_rad]
+    turned = [20.0 + off_m, -30.0 - off_m, 1.0, length_m, width_m, 2.0, yaw_rad + quarters * np.pi / 2 + off_m]
+    expected = 1.0 if quarters % 2 == 0 else slimness / (2 - slimness)
+    np.testing.assert_allclose(bev_iou_paired([box], [turned]), expected, atol=1e-9)
+
+
 def test_iou_of_touching_and_nested_boxes() -> None:
     box = np.array([0, 0, 1, 4, 2, 2, 0.0])
     touching = box + [4, 0, 0, 0, 0, 0, 0]
