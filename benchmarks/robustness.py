@@ -27,6 +27,7 @@ from wibam_core.artifacts import catalogue
 from wibam_core.association.associate import associate
 from wibam_core.config import AssociateConfig, DatasetConfig, FinetuneConfig, LiftConfig
 from wibam_core.dataset.split import split_in_time
+from wibam_core.detection.instants import annotated
 from wibam_core.geometry.camera import Camera
 from wibam_core.geometry.se3 import SE3
 from wibam_core.lifting.lift import lift
@@ -83,7 +84,8 @@ def refitted(site: Site, rig: CameraRig, detected: Sequence[AnnotatedInstant]) -
 def disturbed(site: Site, kind: str, amount: float, draw: int) -> Site:
     """The site with one draw of a disturbance."""
     rng = np.random.default_rng([site.number, draw, list(KINDS).index(kind)])
-    detected = site.outputs.read(catalogue.DETECTIONS)
+    searched, boxes = site.outputs.read(catalogue.SEARCHED_INSTANTS), site.outputs.read(catalogue.DETECTIONS)
+    detected = annotated(searched, boxes)
     if kind == "pose_deg":
         return refitted(site, with_wrong_poses(site.rig, amount, rng), detected)
     return refitted(site, site.rig, with_wrong_clocks(detected, site.rig, amount, rng))

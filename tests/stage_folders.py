@@ -2,16 +2,19 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, TypeVar
 
+from wibam_core.artifacts import catalogue
 from wibam_core.artifacts.access import MANIFEST, ArtifactReader, ArtifactWriter
 from wibam_core.artifacts.artifact import Artifact
 from wibam_core.artifacts.catalogue import made_by
+from wibam_core.detection.instants import annotated, by_frame
 from wibam_core.documents.manifest import Manifest
 from wibam_core.documents.warnings import StageWarning
 from wibam_core.progress import Progress, silent
+from wibam_core.scene import AnnotatedInstant
 from wibam_core.site import Site
 from wibam_core.stages.base import StageContext
 from wibam_core.stages.graph import STAGES
@@ -38,6 +41,17 @@ class StageFolders:
     def give(self, artifact: Artifact[T], value: T) -> None:
         """As if its stage had made it."""
         ArtifactWriter(artifact.stage, self.folder(artifact.stage), made_by(artifact.stage)).write(artifact, value)
+
+    def give_detected(self, instants: Sequence[AnnotatedInstant]) -> None:
+        """As if 2D boxes had been detected at these instants, by cameras that keep the reference clock."""
+        searched, detected = by_frame(instants)
+        self.give(catalogue.SEARCHED_INSTANTS, searched)
+        self.give(catalogue.DETECTIONS, detected)
+
+    def detected(self) -> list[AnnotatedInstant]:
+        """The instants with the 2D boxes that were detected at them."""
+        searched, detected = self.read(catalogue.SEARCHED_INSTANTS), self.read(catalogue.DETECTIONS)
+        return annotated(searched, detected)
 
     def place(self, artifact: Artifact[Any]) -> Path:
         """Where an artifact is, or would be."""

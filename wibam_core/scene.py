@@ -9,6 +9,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field, replace
 from types import MappingProxyType
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -59,6 +60,35 @@ def site_camera(camera_id: str, camera: Camera, signals: tuple[SignalRegion, ...
     return SiteCamera(
         id=camera_id, width_px=camera.width_px, height_px=camera.height_px, calibration=calibration, signals=signals
     )
+
+
+class FrameKey(NamedTuple):
+    """A frame of a recording.
+
+    Attributes:
+        camera_id: whose.
+        local_ns: when it was exposed, on that camera's own clock: its presentation timestamp.
+    """
+
+    camera_id: str
+    local_ns: int
+
+
+class Boxes2D(NamedTuple):
+    """2D boxes in one image, in its pixels.
+
+    Attributes:
+        boxes: (N, 4) xyxy, px, around what is seen of each vehicle. scores: (N,) in [0, 1].
+        classes: (N,) indices into `wibam_core.road_users.CLASSES`.
+        amodal_boxes: (N, 4) around the whole vehicle within the image, what is hidden included; NaN where unknown.
+        amodal_sd: (N, 4) standard deviations of their edges, px; NaN where unknown.
+    """
+
+    boxes: FloatArray
+    scores: FloatArray
+    classes: IntArray
+    amodal_boxes: FloatArray
+    amodal_sd: FloatArray
 
 
 @dataclass(frozen=True, eq=False)

@@ -23,13 +23,17 @@ from wibam_core.documents.statistics import (
 from wibam_core.documents.synchronisation import Synchronisation
 from wibam_core.formats.annotations import read_annotations, write_annotations
 from wibam_core.formats.clocks import read_clocks, write_clocks
+from wibam_core.formats.detections import read_detections, write_detections
 from wibam_core.formats.framestore import FrameStore
+from wibam_core.formats.instants import read_instants, write_instants
 from wibam_core.formats.rig import read_rig, write_rig
 from wibam_core.formats.timestamps import read_timestamps, write_timestamps
 from wibam_core.formats.tracks import read_tracks, write_tracks
 from wibam_core.formats.vehicles3d import read_vehicles3d, write_vehicles3d
 
 _ANNOTATIONS = own_format(read_annotations, write_annotations)
+_DETECTIONS = own_format(read_detections, write_detections)
+_INSTANTS = own_format(read_instants, write_instants)
 _BOXES_3D = own_format(read_vehicles3d, write_vehicles3d)
 
 PROBE: Final = Artifact("probe", "preflight", "probe.json", "The recordings", document(Probe))
@@ -57,12 +61,31 @@ FRAMES: Final = Artifact(
     Codec(BINARY, FrameStore, None, FrameStore.__module__),
     version=2,
 )
-DETECTIONS: Final = Artifact("detections", "detect", "detections.parquet", "2D boxes", _ANNOTATIONS)
+DETECTIONS: Final = Artifact("detections", "detect", "detections.parquet", "2D boxes by frame", _DETECTIONS, version=2)
+BACKGROUND_DETECTIONS: Final = Artifact(
+    "background-detections",
+    "detect",
+    "background.parquet",
+    "2D boxes at first look, in the frames that show the still backgrounds",
+    _DETECTIONS,
+    optional=True,
+)
+SEARCHED_INSTANTS: Final = Artifact(
+    "searched-instants",
+    "detect",
+    "searched.parquet",
+    "The instants that were searched for vehicles",
+    _INSTANTS,
+)
 DETECTION_STATISTICS: Final = Artifact(
     "detection-statistics", "detect", "statistics.json", "Counts of 2D boxes", document(DetectionStatistics)
 )
 ANNOTATIONS: Final = Artifact(
-    "annotations", "associate", "annotations.parquet", "2D boxes with the vehicles that they belong to", _ANNOTATIONS
+    "annotations",
+    "associate",
+    "annotations.parquet",
+    "2D boxes with the vehicles that they belong to",
+    own_format(read_annotations, write_annotations),
 )
 ASSOCIATION_STATISTICS: Final = Artifact(
     "association-statistics", "associate", "statistics.json", "Counts of vehicles", document(AssociationStatistics)

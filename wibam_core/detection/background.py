@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
 
 import numpy as np
 
-from wibam_core.detection.boxes import FloatArray, Image
+from wibam_core.detection.boxes import FloatArray, Image, IntArray
+from wibam_core.video.sampling import nearest_times
 
 #: A box hides this share of its sides more on each side, since boxes are never exact and edges are blurred.
 _MARGIN_SHARE, _MARGIN_PX = 0.08, 2.0
@@ -16,8 +18,57 @@ _MARGIN_SHARE, _MARGIN_PX = 0.08, 2.0
 _FEWEST = 4
 #: Value of unknown pixels.
 UNKNOWN = 128
+#: A background is made of so many frames, and a recording has at least so many that may show it: one every few seconds.
+_FRAMES, _SPACING_S = 32, 2.0
 #: Rows that are sorted at one time, so that memory stays small.
 _STRIP = 32
+
+
+class BackgroundFrames:
+    """Which frames of a fixed camera show its background at which time.
+
+    That follows from its recording alone, so that it stays as it is whatever instants are looked at: the frames that
+    are nearest to evenly spaced times of its own clock.
+
+    Args:
+        times_ns: (N,) times of all frames of the recording on its own clock, ascending.
+        stored_ns: (M,) those of the frames that are at hand, ascending: with the nearest to each of `targets_ns` that
+            can be decoded, any others.
+        block_s: about how long one background lasts. All last equally long.
+    """
+
+    def __init__(self, times_ns: IntArray, stored_ns: IntArray, block_s: float) -> None:
+        self._first_ns, self._duration_ns = int(times_ns[0]), max(int(times_ns[-1] - times_ns[0]), 1)
+        self._blocks = max(1, round(self._duration_ns * 1e-9 / block_s))
+        targets_ns, tolerance_ns = self.targets_ns(times_ns)
+        self._of_block: dict[int, list[int]] = {}
+        for local_ns in nearest_times(stored_ns, targets_ns, tolerance_ns):
+            if local_ns is not None:
+                of_block = self._of_block.setdefault(self.block(local_ns), [])
+                if local_ns not in of_block[-1:]:
+                    of_block.append(local_ns)
+
+    @staticmethod
+    def targets_ns(times_ns: IntArray) -> tuple[IntArray, int]:
+        """The evenly spaced times (K,) of a recording, and how far from one of them a frame may lie (ns).
+
+        Args:
+            times_ns: (N,) times of all its frames on its own clock, ascending.
+        """
+        duration_ns = float(times_ns[-1] - times_ns[0])
+        count = max(_FRAMES, math.ceil(duration_ns * 1e-9 / _SPACING_S))
+        spacing_ns = duration_ns / count
+        return times_ns[0] + np.rint((np.arange(count) + 0.5) * spacing_ns).astype(np.int64), round(spacing_ns / 2)
+
+    def block(self, local_ns: int) -> int:
+        """Number of the background that is shown at a time of the recording."""
+        return min((local_ns - self._first_ns) * self._blocks // self._duration_ns, self._blocks - 1)
+
+    def of_block(self, block: int) -> list[int]:
+        """Times of the frames that show a background, ascending, evenly chosen among those there are."""
+        there = self._of_block.get(block, [])
+        places = np.linspace(0, len(there) - 1, min(len(there), _FRAMES)).round().astype(int)
+        return [there[place] for place in places.tolist()]
 
 
 @dataclass(frozen=True, eq=False)

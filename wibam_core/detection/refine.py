@@ -3,15 +3,15 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import NamedTuple
 
 import numpy as np
 import onnxruntime
 
 from wibam_core.detection.background import StillBackground
-from wibam_core.detection.boxes import FloatArray, Found, Image, IntArray
+from wibam_core.detection.boxes import FloatArray, Found, Image
 from wibam_core.detection.crops import blob
 from wibam_core.geometry.boxes2d import clipped_to_image, non_maximum_suppression, sides_px
+from wibam_core.scene import Boxes2D
 
 #: The refiner that comes with the project; learned from simulated images.
 BUNDLED_REFINER = Path(__file__).resolve().parent.parent / "models" / "bundled" / "refiner2d.onnx"
@@ -23,22 +23,6 @@ _OUTPUTS = ("edges", "reach", "log_scale", "classes")
 _OUTWARD = np.array([-1.0, -1.0, 1.0, 1.0])
 #: Standard deviation of a normal error in mean absolute ones.
 _SD_OF_ABSOLUTE_ERROR = 1.25
-
-
-class Refined(NamedTuple):
-    """Boxes after a second look.
-
-    Attributes:
-        boxes: (N, 4) xyxy, px, around what is seen of each vehicle. scores: (N,). classes: (N,).
-        amodal_boxes: (N, 4) around the whole vehicles within the image, what is hidden included.
-        amodal_sd: (N, 4) standard deviations of their edges, px.
-    """
-
-    boxes: FloatArray
-    scores: FloatArray
-    classes: IntArray
-    amodal_boxes: FloatArray
-    amodal_sd: FloatArray
 
 
 class EdgeRefiner:
@@ -58,7 +42,7 @@ class EdgeRefiner:
         nms_iou: float,
         classify: bool,
         passes: int = _PASSES,
-    ) -> Refined:
+    ) -> Boxes2D:
         """The boxes with better edges, and amodal ones, in the order given; what turns out to be found twice goes.
 
         Args:
@@ -70,7 +54,7 @@ class EdgeRefiner:
             passes: how often each box is looked at, where the last look left it. Boxes that are near need one.
         """
         if not len(found.boxes):
-            return Refined(*found, np.empty((0, 4)), np.empty((0, 4)))
+            return Boxes2D(*found, np.empty((0, 4)), np.empty((0, 4)))
         height, width = image_bgr.shape[:2]
         boxes, classes = found.boxes, found.classes
         for _ in range(passes):
@@ -86,7 +70,7 @@ class EdgeRefiner:
         amodal = clipped_to_image(boxes + _OUTWARD * reach * sides, width, height)
         sd = _SD_OF_ABSOLUTE_ERROR * np.exp(log_scale) * sides
         kept = np.sort(non_maximum_suppression(boxes, found.scores, nms_iou))
-        return Refined(boxes[kept], found.scores[kept], classes[kept], amodal[kept], sd[kept])
+        return Boxes2D(boxes[kept], found.scores[kept], classes[kept], amodal[kept], sd[kept])
 
 
 def _moved(boxes: FloatArray, wanted: FloatArray) -> FloatArray:

@@ -14,13 +14,9 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 
+from wibam_core.formats.detections import AMODAL_BOX, AMODAL_SD, BOX
 from wibam_core.road_users import CLASSES
 from wibam_core.scene import AnnotatedInstant, Detections2D, MultiViewVehicle
-
-_BOX = ("x0_px", "y0_px", "x1_px", "y1_px")
-_AMODAL_BOX = ("amodal_x0_px", "amodal_y0_px", "amodal_x1_px", "amodal_y1_px")
-_AMODAL_SD = ("amodal_x0_sd_px", "amodal_y0_sd_px", "amodal_x1_sd_px", "amodal_y1_sd_px")
-_AMODAL = (*_AMODAL_BOX, *_AMODAL_SD)
 
 SCHEMA = pa.schema(
     [
@@ -28,11 +24,11 @@ SCHEMA = pa.schema(
         ("camera_id", pa.string()),
         ("frame_time_ns", pa.int64()),
         ("index", pa.int32()),
-        *((name, pa.float64()) for name in _BOX),
+        *((name, pa.float64()) for name in BOX),
         ("score", pa.float64()),
         ("class", pa.string()),
         # around the whole vehicle, hidden parts included, and standard deviations; null where unknown
-        *((name, pa.float64()) for name in _AMODAL),
+        *((name, pa.float64()) for name in (*AMODAL_BOX, *AMODAL_SD)),
         # of the multi-view vehicle that the box belongs to; null where it belongs to none
         ("obj_id", pa.int32()),
         ("track_id", pa.int32()),
@@ -63,8 +59,12 @@ def write_annotations(path: Path, instants: Iterable[AnnotatedInstant]) -> None:
                 row(
                     **frame,
                     index=i,
-                    **dict(zip(_BOX, seen.boxes[i].tolist(), strict=True)),
-                    **(dict(zip(_AMODAL, amodal.tolist(), strict=True)) if np.isfinite(amodal).all() else {}),
+                    **dict(zip(BOX, seen.boxes[i].tolist(), strict=True)),
+                    **(
+                        dict(zip((*AMODAL_BOX, *AMODAL_SD), amodal.tolist(), strict=True))
+                        if np.isfinite(amodal).all()
+                        else {}
+                    ),
                     score=float(seen.scores[i]),
                     **{"class": CLASSES[seen.classes[i]].value},
                     **(
@@ -98,12 +98,12 @@ def _instant(time_ns: int, rows: list[dict[str, Any]]) -> AnnotatedInstant:
         detections[camera_id] = Detections2D(
             camera_id,
             frame[0]["frame_time_ns"],
-            np.array([[r[name] for name in _BOX] for r in boxes]),
+            np.array([[r[name] for name in BOX] for r in boxes]),
             np.array([r["score"] for r in boxes]),
             np.array([_CLASS[r["class"]].number for r in boxes], dtype=np.int64),
             *(
                 np.array([[r[name] for name in names] for r in boxes], dtype=np.float64)
-                for names in (_AMODAL_BOX, _AMODAL_SD)
+                for names in (AMODAL_BOX, AMODAL_SD)
             ),
         )
         for r in boxes:

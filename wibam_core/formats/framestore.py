@@ -282,6 +282,11 @@ class FrameStore:
             raise _damaged(camera_id, local_ns)
         return jpeg
 
+    def stored_ns(self, camera_id: str) -> NDArray[np.int64]:
+        """(N,) times of all of a camera's stored frames on its own clock, ascending."""
+        places = self._places.get(camera_id, {})
+        return np.array([local_ns for local_ns, place in places.items() if place.length], dtype=np.int64)
+
     def damaged(self, camera_id: str) -> frozenset[int]:
         """Times, on the camera's own clock, at which the recording is known to be damaged."""
         places = self._places.get(camera_id, {})

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-from wibam_core.artifacts.catalogue import ANNOTATIONS, ASSOCIATION_STATISTICS, DETECTIONS, RIG
+from wibam_core.artifacts.catalogue import ANNOTATIONS, ASSOCIATION_STATISTICS, DETECTIONS, RIG, SEARCHED_INSTANTS
 from wibam_core.association.associate import associate, association_statistics
 from wibam_core.config import AssociateConfig
+from wibam_core.detection.instants import annotated
 from wibam_core.stages.base import StageContext, Summary
 
 
@@ -15,8 +16,8 @@ def run(context: StageContext, config: AssociateConfig) -> Summary:
         NoVehicles: no box lies on the ground within range.
         NoMultiViewVehicles: no two boxes of different cameras meet on the ground.
     """
-    detected = context.read(DETECTIONS)
-    instants = associate(detected, context.read(RIG), config, context.progress)
+    searched, detected = context.read(SEARCHED_INSTANTS), context.read(DETECTIONS)
+    instants = associate(annotated(searched, detected), context.read(RIG), config, context.progress)
     statistics = association_statistics(instants)
     context.write(ANNOTATIONS, instants)
     context.write(ASSOCIATION_STATISTICS, statistics)

@@ -5,24 +5,39 @@ from __future__ import annotations
 import os
 from collections.abc import Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
+from functools import partial
 
-from wibam_core.artifacts.catalogue import DETECTION_STATISTICS, DETECTIONS, FRAMES
+import numpy as np
+
+from wibam_core.artifacts.catalogue import (
+    BACKGROUND_DETECTIONS,
+    DETECTION_STATISTICS,
+    DETECTIONS,
+    FRAMES,
+    SEARCHED_INSTANTS,
+    TIMESTAMPS,
+)
 from wibam_core.config import DetectConfig
+from wibam_core.detection.background import BackgroundFrames
 from wibam_core.detection.detector import BUNDLED, Detector, load_detector
+from wibam_core.detection.instants import annotated, frames_of
 from wibam_core.detection.statistics import detection_statistics
 from wibam_core.errors import NoVehicles
 from wibam_core.formats.framestore import FrameStore
 from wibam_core.progress import Progress, part
-from wibam_core.scene import AnnotatedInstant, Detections2D, FrameSet
+from wibam_core.scene import Boxes2D, FrameKey
 from wibam_core.stages.base import StageContext, Summary
-from wibam_core.stages.edges import refine_all
+from wibam_core.stages.edges import background_frames, refine_all
 
-#: Instants that are in work at one time.
-_CHUNK = 16
+#: Frames that are in work at one time.
+_CHUNK = 64
 
 
 def run(context: StageContext, config: DetectConfig) -> Summary:
-    """Write `DETECTIONS`, 2D boxes at ``config.rate_hz`` without multi-view vehicles yet, and `DETECTION_STATISTICS`.
+    """Write what is seen in the frames of the instants, thinned to ``config.rate_hz``.
+
+    That is `DETECTIONS`, 2D boxes by frame, `SEARCHED_INSTANTS`, which of the instants they belong to,
+    `DETECTION_STATISTICS`, and, where boxes were looked at a second time, `BACKGROUND_DETECTIONS`.
 
     Raises:
         InvalidWeights: a detector of one's own cannot be used.
@@ -31,15 +46,26 @@ def run(context: StageContext, config: DetectConfig) -> Summary:
     detector = _detector(context, config)
     store = context.read(FRAMES)
     refined = config.refine == "on" or (config.refine == "auto" and config.detector == "bundled")
-    frame_sets = store.thinned(config.rate_hz)
-    instants = list(_detect_all(store, frame_sets, detector, part(context.progress, 0.0, 0.5 if refined else 1.0)))
-    frames = sum(len(instant.detections) for instant in instants)
-    if not any(len(seen) for instant in instants for seen in instant.detections.values()):
-        raise NoVehicles(f"no vehicle was detected in {frames} frames of {len(store.camera_ids)} cameras")
+    instants = store.thinned(config.rate_hz)
+    frames = frames_of(instants)
+    shown, of_backgrounds = {}, []
     if refined:
-        instants = list(refine_all(store, instants, config, part(context.progress, 0.5, 1.0)))
-    statistics = detection_statistics(instants, store.camera_ids)
-    context.write(DETECTIONS, instants)
+        times_ns = context.read(TIMESTAMPS)
+        shown = {
+            camera_id: BackgroundFrames(times_ns[camera_id], store.stored_ns(camera_id), config.background_s)
+            for camera_id in store.camera_ids
+        }
+        of_backgrounds = background_frames(frames, shown)
+    to_search = sorted({*frames, *of_backgrounds})
+    detected = dict(_search_all(store, to_search, detector, part(context.progress, 0.0, 0.5 if refined else 1.0)))
+    if not any(len(detected[frame].boxes) for frame in frames):
+        raise NoVehicles(f"no vehicle was detected in {len(frames)} frames of {len(store.camera_ids)} cameras")
+    if refined:
+        context.write(BACKGROUND_DETECTIONS, {frame: detected[frame] for frame in of_backgrounds})
+        detected = dict(refine_all(store, frames, detected, shown, config, part(context.progress, 0.5, 1.0)))
+    context.write(DETECTIONS, {frame: detected[frame] for frame in frames})
+    context.write(SEARCHED_INSTANTS, instants)
+    statistics = detection_statistics(annotated(instants, detected), store.camera_ids)
     context.write(DETECTION_STATISTICS, statistics)
     return statistics.model_dump()
 
@@ -49,29 +75,19 @@ def _detector(context: StageContext, config: DetectConfig) -> Detector:
     return load_detector(path, min_score=config.min_score, nms_iou=config.nms_iou)
 
 
-def _detect_all(
-    store: FrameStore, frame_sets: Sequence[FrameSet], detector: Detector, progress: Progress
-) -> Iterator[AnnotatedInstant]:
-    """The instants in order; several images side by side, each on one thread."""
-
-    def detect(frame_set: FrameSet) -> AnnotatedInstant:
-        return AnnotatedInstant(
-            frame_set.time_ns,
-            {
-                camera_id: _detect(store, detector, camera_id, frame_set.time_ns, frame_time_ns)
-                for camera_id, frame_time_ns in sorted(frame_set.frame_times_ns.items())
-            },
-        )
-
-    total = len(frame_sets)
+def _search_all(
+    store: FrameStore, frames: Sequence[FrameKey], detector: Detector, progress: Progress
+) -> Iterator[tuple[FrameKey, Boxes2D]]:
+    """The frames in order with a first look at each; several side by side, each on one thread."""
     with ThreadPoolExecutor(max_workers=len(os.sched_getaffinity(0))) as pool:
-        for start in range(0, total, _CHUNK):
-            yield from pool.map(detect, frame_sets[start : start + _CHUNK])
-            done = min(start + _CHUNK, total)
-            progress(done / total, f"{done} of {total} instants")
+        for start in range(0, len(frames), _CHUNK):
+            chunk = frames[start : start + _CHUNK]
+            yield from zip(chunk, pool.map(partial(_searched, store, detector), chunk), strict=True)
+            done = start + len(chunk)
+            progress(done / len(frames), f"{done} of {len(frames)} frames")
 
 
-def _detect(store: FrameStore, detector: Detector, camera_id: str, time_ns: int, frame_time_ns: int) -> Detections2D:
-    found = detector.detect(store.image(camera_id, time_ns))
-    boxes = store.to_native_px(camera_id, found.boxes)
-    return Detections2D(camera_id, frame_time_ns, boxes, found.scores, found.classes)
+def _searched(store: FrameStore, detector: Detector, frame: FrameKey) -> Boxes2D:
+    found = detector.detect(store.image_at(*frame))
+    unknown = np.full((len(found.boxes), 4), np.nan)
+    return Boxes2D(store.to_native_px(frame.camera_id, found.boxes), found.scores, found.classes, unknown, unknown)

@@ -8,12 +8,14 @@ from collections.abc import Mapping
 from concurrent.futures import Future, ThreadPoolExecutor, wait
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from wibam_core.artifacts.catalogue import CLOCKS, FRAMES, LIMITS, PROBE, TIMESTAMPS
 from wibam_core.config import FramesConfig
+from wibam_core.detection.background import BackgroundFrames
 from wibam_core.documents.recordings import VideoInfo
 from wibam_core.errors import NoOverlap
 from wibam_core.formats.framestore import FrameStoreWriter
@@ -26,24 +28,43 @@ _SECONDS_BETWEEN_REPORTS = 0.5
 _HINT_ALONE = "Check that camera's recording and clock, or remove it from the site."
 
 
+class _Target(NamedTuple):
+    """A time on a camera's own clock whose nearest frame is looked for.
+
+    Attributes:
+        local_ns: the time.
+        tolerance_ns: how far from it the frame may lie.
+        instant_ns: the instant, reference clock, that the frame then belongs to. None: it may show the background.
+    """
+
+    local_ns: int
+    tolerance_ns: int
+    instant_ns: int | None
+
+
 @dataclass
 class _Camera:
-    """One camera's work: its recording, its clock, all its frames, the instants it covers, and how far it is."""
+    """One camera's work: its recording, its clock, all its frames, what is looked for, and how far it is."""
 
     id: str
     recording: Path
     clock: ClockMap
     info: VideoInfo
     times_ns: NDArray[np.int64]
-    instants_ns: NDArray[np.int64]
-    tolerance_ns: int
+    targets: list[_Target]
     damaged: set[int] = field(default_factory=set)
     stored: int = 0
     seen: int = 0
 
+    @property
+    def instants(self) -> int:
+        return sum(target.instant_ns is not None for target in self.targets)
+
 
 def run(context: StageContext, config: FramesConfig) -> Summary:
     """Write a frame store: for each instant that two cameras span, the nearest frame of every camera.
+
+    Beside these it holds the frames that may show a camera's background, which no clock and no rate changes.
 
     Raises:
         NoOverlap: no two recordings show the same instant, or a camera shares too little time with every other one,
@@ -72,7 +93,7 @@ def run(context: StageContext, config: FramesConfig) -> Summary:
         "instants": len(instants),
         "seconds": round(float(instants[-1] - instants[0]) / 1e9, 3),
         "frames": {camera.id: camera.stored for camera in cameras},
-        "without_frame": {camera.id: len(camera.instants_ns) - camera.stored for camera in cameras},
+        "without_frame": {camera.id: camera.instants - camera.stored for camera in cameras},
         "damaged": {camera.id: len(camera.damaged) for camera in cameras},
     }
 
@@ -140,13 +161,20 @@ def _camera(
     tolerance_ns = int(max(1e9 / info.fps, float(period_ns(config.rate_hz))) / 2)
     span = _span(info, clock)
     near = instants[(instants >= span.first_ns - tolerance_ns) & (instants <= span.last_ns + tolerance_ns)]
-    return _Camera(camera_id, recording, clock, info, times_ns, near, tolerance_ns)
+    local = clock.to_local_ns(near)
+    of_background, background_tolerance_ns = BackgroundFrames.targets_ns(times_ns)
+    targets = [
+        _Target(time, tolerance_ns, instant) for time, instant in zip(local.tolist(), near.tolist(), strict=True)
+    ]
+    targets += [_Target(time, background_tolerance_ns, None) for time in of_background.tolist()]
+    targets.sort(key=lambda target: target.local_ns)
+    return _Camera(camera_id, recording, clock, info, times_ns, targets)
 
 
 def _read_all(cameras: list[_Camera], writer: FrameStoreWriter, width_px: int, context: StageContext) -> None:
     """Read cameras side by side (decoding and JPEG run outside the interpreter's lock), reporting from this thread."""
     stop = threading.Event()
-    total = max(sum(len(camera.instants_ns) for camera in cameras), 1)
+    total = max(sum(len(camera.targets) for camera in cameras), 1)
     with ThreadPoolExecutor(max_workers=max(2, len(os.sched_getaffinity(0)))) as pool:
         pending: set[Future[None]] = {pool.submit(_read, camera, writer, width_px, stop) for camera in cameras}
         try:
@@ -162,17 +190,17 @@ def _read_all(cameras: list[_Camera], writer: FrameStoreWriter, width_px: int, c
 
 def _read(camera: _Camera, writer: FrameStoreWriter, width_px: int, stop: threading.Event) -> None:
     one_pass = OnePass(camera.recording, among=set(camera.times_ns.tolist()), width_px=width_px)
-    targets = camera.clock.to_local_ns(camera.instants_ns)
-    for instant_ns, target_ns in zip(camera.instants_ns.tolist(), targets.tolist(), strict=True):
+    for target in camera.targets:
         if stop.is_set():
             return
-        frame = one_pass.nearest(target_ns, camera.tolerance_ns)
+        frame = one_pass.nearest(target.local_ns, target.tolerance_ns)
         found_ns = None if frame is None else frame.time_ns
-        camera.damaged.update(nearer_times(camera.times_ns, target_ns, found_ns, camera.tolerance_ns))
+        camera.damaged.update(nearer_times(camera.times_ns, target.local_ns, found_ns, target.tolerance_ns))
         if frame is not None:
             writer.add_frame(camera.id, frame.time_ns, frame.image_bgr)
-            frame_time_ns = int(camera.clock.to_reference_ns(frame.time_ns))
-            writer.add_to_instant(instant_ns, camera.id, frame.time_ns, frame_time_ns)
-            camera.stored += 1
+            if target.instant_ns is not None:
+                frame_time_ns = int(camera.clock.to_reference_ns(frame.time_ns))
+                writer.add_to_instant(target.instant_ns, camera.id, frame.time_ns, frame_time_ns)
+                camera.stored += 1
         camera.seen += 1
     writer.add_damaged(camera.id, camera.damaged)

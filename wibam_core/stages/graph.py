@@ -115,8 +115,12 @@ _SPECS = (
         _sizes,
         reads_recordings=True,
     ),
-    StageSpec("detect", "Detect vehicles in 2D", (catalogue.FRAMES,), assets=("detector",)),
-    StageSpec("associate", "Associate views and link over time", (catalogue.RIG, catalogue.DETECTIONS)),
+    StageSpec("detect", "Detect vehicles in 2D", (catalogue.TIMESTAMPS, catalogue.FRAMES), assets=("detector",)),
+    StageSpec(
+        "associate",
+        "Associate views and link over time",
+        (catalogue.RIG, catalogue.DETECTIONS, catalogue.SEARCHED_INSTANTS),
+    ),
     StageSpec("dataset", "Split in time", (catalogue.RIG, catalogue.ANNOTATIONS)),
     StageSpec("lift", "Fit 7DoF boxes to all views", (catalogue.RIG, catalogue.ANNOTATIONS, catalogue.SPLIT)),
     StageSpec(

@@ -19,6 +19,7 @@ from wibam_core.association.associate import association_statistics
 from wibam_core.association.linking import linked_over_time
 from wibam_core.config import AssociateConfig
 from wibam_core.dataset.statistics import dataset_statistics
+from wibam_core.detection.instants import by_frame
 from wibam_core.detection.statistics import detection_statistics
 from wibam_core.documents.recordings import Limits, Probe, VideoInfo
 from wibam_core.documents.split import SUBSETS, Split
@@ -81,7 +82,9 @@ def _write(content: Content, site_dir: Path, progress: Progress) -> list[str]:
     _give_frames(content, instants, site_dir, part(progress, 0.2, 1.0))
     found = detection_statistics(instants, content.site.camera_ids)
     with giving(site_dir, "detect", found.model_dump()) as given:
-        given.write(catalogue.DETECTIONS, [AnnotatedInstant(i.time_ns, i.detections) for i in instants])
+        searched, detected = by_frame(instants)
+        given.write(catalogue.DETECTIONS, detected)
+        given.write(catalogue.SEARCHED_INSTANTS, searched)
         given.write(catalogue.DETECTION_STATISTICS, found)
     associated = association_statistics(linked)
     with giving(site_dir, "associate", associated.model_dump()) as given:

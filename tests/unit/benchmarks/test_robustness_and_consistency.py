@@ -58,7 +58,7 @@ def job(tmp_path_factory: pytest.TempPathFactory) -> StageFolders:
     """What the stages from detection to the fits leave of a small scene."""
     job, scene = StageFolders(tmp_path_factory.mktemp("job")), crossing()
     job.give(catalogue.RIG, scene.rig)
-    job.give(catalogue.DETECTIONS, scene.unassociated)
+    job.give_detected(scene.unassociated)
     site = site_of(scene.rig)
     associate.run(job.context("associate", site), AssociateConfig())
     dataset.run(job.context("dataset", site), SHORT)

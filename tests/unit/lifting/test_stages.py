@@ -32,7 +32,7 @@ SITE = Site(
 def outputs(tmp_path_factory: pytest.TempPathFactory) -> tuple[StageFolders, dict[str, Summary]]:
     folders, scene = StageFolders(tmp_path_factory.mktemp("stages")), crossing()
     folders.give(catalogue.RIG, scene.rig)
-    folders.give(catalogue.DETECTIONS, scene.unassociated)
+    folders.give_detected(scene.unassociated)
     split = DatasetConfig(rate_hz=6.25, train_share=0.6, val_share=0.2, gap_s=0.3)
     summaries = {
         "associate": associate.run(folders.context("associate", SITE), AssociateConfig()),

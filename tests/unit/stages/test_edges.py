@@ -1,17 +1,19 @@
 """The second half of detection, on rendered frames of one fixed camera."""
 
+from dataclasses import dataclass, replace
+
 import numpy as np
 import pytest
 
 from wibam_core.config import DetectConfig
-from wibam_core.detection.background import StillBackground, still_background
+from wibam_core.detection.background import BackgroundFrames, StillBackground, still_background
 from wibam_core.detection.boxes import Found
 from wibam_core.detection.refine import EdgeRefiner
 from wibam_core.formats.framestore import FrameStore, FrameStoreWriter
-from wibam_core.progress import silent
-from wibam_core.scene import AnnotatedInstant, Detections2D
+from wibam_core.progress import Progress, silent
+from wibam_core.scene import Boxes2D, FrameKey
 from wibam_core.stages import edges
-from wibam_core.stages.edges import refine_all
+from wibam_core.stages.edges import background_frames, refine_all
 from wibam_core.synthetic.cameras import site_cameras
 from wibam_core.synthetic.layout import make_layout
 from wibam_core.synthetic.lighting import develop, sample_lighting, sample_photometry
@@ -22,19 +24,48 @@ from wibam_core.synthetic.sampling import sample_moment
 S = 10**9
 SIZE, NATIVE = (640, 360), (1280, 720)
 
-Recorded = tuple[FrameStore, list[AnnotatedInstant], list[np.ndarray]]
+
+@dataclass
+class Recorded:
+    """Frames at half the recording's size, wrong boxes in the recording's pixels, and the right ones."""
+
+    store: FrameStore
+    seen: dict[FrameKey, Boxes2D]
+    truth: dict[FrameKey, np.ndarray]
+
+    @property
+    def frames(self) -> list[FrameKey]:
+        return sorted(self.seen)
+
+    def shown(self, block_s: float = 120.0) -> dict[str, BackgroundFrames]:
+        times_ns = self.store.stored_ns("a")
+        return {"a": BackgroundFrames(times_ns, times_ns, block_s)}
+
+    def refined(self, progress: Progress = silent, block_s: float = 120.0, **options: str) -> dict[FrameKey, Boxes2D]:
+        config = DetectConfig(**options)
+        return dict(refine_all(self.store, self.frames, self.seen, self.shown(block_s), config, progress))
+
+    def background(self) -> StillBackground:
+        there = background_frames(self.frames, self.shown())
+        boxes = [self.store.to_stored_px("a", self.seen[frame].boxes) for frame in there]
+        return still_background([self.store.image_at(*frame) for frame in there], boxes)
+
+
+def some(boxes: np.ndarray, kind: int = 0) -> Boxes2D:
+    count = len(boxes)
+    unknown = np.full((count, 4), np.nan)
+    return Boxes2D(boxes.reshape(-1, 4), np.full(count, 0.9), np.full(count, kind), unknown, unknown)
 
 
 @pytest.fixture(scope="module")
 def recorded(tmp_path_factory: pytest.TempPathFactory) -> Recorded:
-    """Frames at half the recording's size, wrong boxes in the recording's pixels, and the right ones."""
     folder = tmp_path_factory.mktemp("frames")
     rng = np.random.default_rng(3)
     layout = make_layout(43)
     camera = site_cameras(layout, rng, 4, SIZE)[0]
     renderer = Renderer(layout, sample_lighting(rng), camera)
     photometry, routes = sample_photometry(rng), make_routes(layout)
-    instants, truth = [], []
+    seen, truth = {}, {}
     with FrameStoreWriter(folder, 92) as writer:
         for number in range(14):
             models, boxes = sample_moment(layout, routes, rng)
@@ -45,83 +76,58 @@ def recorded(tmp_path_factory: pytest.TempPathFactory) -> Recorded:
             native = (plain + 0.5) * 2 - 0.5
             wrong = native + rng.normal(0, 0.08, native.shape) * np.tile(native[:, 2:] - native[:, :2], 2)
             wrong = np.clip(wrong, -0.5, np.array(NATIVE * 2) - 0.5)
-            count = len(wrong)
-            seen = Detections2D("a", number * S + 5, wrong, np.full(count, 0.9), np.zeros(count, np.int64))
-            instants.append(AnnotatedInstant(number * S, {"a": seen}))
-            truth.append(native)
+            frame = FrameKey("a", number * S + 5)
+            seen[frame], truth[frame] = some(wrong), native
         writer.close({"a": NATIVE})
-    return FrameStore(folder), instants, truth
+    return Recorded(FrameStore(folder), seen, truth)
 
 
-def test_convention_edges_are_in_pixels_of_the_recording(
-    recorded: Recorded,
-) -> None:
-    store, instants, truth = recorded
-    refined = list(refine_all(store, instants, DetectConfig(), silent))
-    assert [instant.time_ns for instant in refined] == [instant.time_ns for instant in instants]
+def test_convention_edges_are_in_pixels_of_the_recording(recorded: Recorded) -> None:
+    refined = recorded.refined()
+    assert sorted(refined) == recorded.frames
 
-    def error(given: list[AnnotatedInstant]) -> float:
+    def error(given: dict[FrameKey, Boxes2D]) -> float:
         parts = [
-            np.abs(instant.detections["a"].boxes - boxes) / np.tile(boxes[:, 2:] - boxes[:, :2], 2)
-            for instant, boxes in zip(given, truth, strict=True)
+            np.abs(given[frame].boxes - boxes) / np.tile(boxes[:, 2:] - boxes[:, :2], 2)
+            for frame, boxes in recorded.truth.items()
         ]
         return float(np.concatenate(parts).mean())
 
-    assert sum(map(len, truth)) > 20
-    assert error(refined) < 0.5 * error(instants)
-    assert refined[3].detections["a"].frame_time_ns == instants[3].detections["a"].frame_time_ns
+    assert sum(map(len, recorded.truth.values())) > 20
+    assert error(refined) < 0.5 * error(recorded.seen)
 
 
 def test_convention_amodal_edges_and_their_deviations_are_in_pixels_of_the_recording(recorded: Recorded) -> None:
-    store, instants, _ = recorded
-    refined = list(refine_all(store, instants, DetectConfig(), silent))
-    background = edges._background(store, instants, "a")
-    for instant, after in zip(instants, refined, strict=True):
-        seen, native = instant.detections["a"], after.detections["a"]
-        given = Found(store.to_stored_px("a", seen.boxes), seen.scores, seen.classes)
-        image = store.image("a", instant.time_ns)
+    background = recorded.background()
+    for frame, native in recorded.refined().items():
+        seen = recorded.seen[frame]
+        given = Found(recorded.store.to_stored_px("a", seen.boxes), seen.scores, seen.classes)
+        image = recorded.store.image_at(*frame)
         stored = EdgeRefiner().refine(image, background, given, nms_iou=DetectConfig().nms_iou, classify=True)
         np.testing.assert_allclose(native.amodal_boxes, (stored.amodal_boxes + 0.5) * 2 - 0.5)
         np.testing.assert_allclose(native.amodal_sd, stored.amodal_sd * 2)
 
 
-def test_progress_rises_to_one_and_frames_without_boxes_are_kept(
-    recorded: Recorded,
-) -> None:
-    store, instants, _ = recorded
-    empty = Detections2D("a", S + 5, np.empty((0, 4)), np.empty(0), np.empty(0, np.int64))
-    given = [instants[0], AnnotatedInstant(S, {"a": empty}), *instants[2:]]
-    seen: list[float] = []
-    refined = list(
-        refine_all(store, given, DetectConfig(), lambda fraction, message="", **figures: seen.append(fraction))
-    )
-    assert len(refined) == len(given) and len(refined[1].detections["a"]) == 0
-    assert seen == sorted(seen) and seen[-1] == 1.0
+def test_progress_rises_to_one_and_frames_without_boxes_are_kept(recorded: Recorded) -> None:
+    empty = recorded.frames[1]
+    given = replace(recorded, seen=recorded.seen | {empty: some(np.empty((0, 4)))})
+    told: list[float] = []
+    refined = given.refined(lambda fraction, message="", **figures: told.append(fraction))
+    assert len(refined) == len(given.frames) and len(refined[empty].boxes) == 0
+    assert told == sorted(told) and told[-1] == 1.0
 
 
-def test_other_detectors_keep_their_classes(
-    recorded: Recorded,
-) -> None:
-    store, instants, _ = recorded
-    trucks = []
-    for instant in instants:
-        seen = instant.detections["a"]
-        classes = np.full(len(seen), 2)
-        trucks.append(
-            AnnotatedInstant(
-                instant.time_ns, {"a": Detections2D("a", seen.frame_time_ns, seen.boxes, seen.scores, classes)}
-            )
-        )
+def test_other_detectors_keep_their_classes(recorded: Recorded) -> None:
+    trucks = replace(recorded, seen={frame: some(seen.boxes, 2) for frame, seen in recorded.seen.items()})
     own, theirs = (
-        np.concatenate([i.detections["a"].classes for i in refine_all(store, trucks, DetectConfig(detector=d), silent)])
-        for d in ("bundled", "custom")
+        np.concatenate([seen.classes for seen in trucks.refined(detector=detector).values()])
+        for detector in ("bundled", "custom")
     )
     assert (theirs == 2).all()
     assert (own == 0).mean() > 0.5  # most of them are cars
 
 
 def test_a_block_of_minutes_has_its_own_background(recorded: Recorded, monkeypatch: pytest.MonkeyPatch) -> None:
-    store, instants, _ = recorded
     made: list[int] = []
 
     def background(images: list[np.ndarray], boxes: list[np.ndarray]) -> StillBackground:
@@ -129,5 +135,14 @@ def test_a_block_of_minutes_has_its_own_background(recorded: Recorded, monkeypat
         return still_background(images, boxes)
 
     monkeypatch.setattr(edges, "still_background", background)
-    assert len(list(refine_all(store, instants, DetectConfig(background_s=4.0), silent))) == len(instants)
-    assert len(made) == 3 and sum(made) == len(instants)
+    assert len(recorded.refined(block_s=4.0)) == len(recorded.frames)
+    assert len(made) == 3 and sum(made) == len(recorded.frames)
+
+
+def test_what_a_frame_shows_does_not_depend_on_the_other_frames(recorded: Recorded) -> None:
+    """Those of its background aside, which are always the same."""
+    together = recorded.refined()
+    for frame in recorded.frames[::4]:
+        alone = dict(refine_all(recorded.store, [frame], recorded.seen, recorded.shown(), DetectConfig(), silent))
+        for one, other in zip(alone[frame], together[frame], strict=True):
+            np.testing.assert_array_equal(one, other)

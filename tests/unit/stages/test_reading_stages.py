@@ -13,6 +13,7 @@ from av.video.frame import VideoFrame
 from tests.stage_folders import StageFolders
 from wibam_core.artifacts import catalogue
 from wibam_core.config import DetectConfig, FramesConfig, PreflightConfig
+from wibam_core.detection.background import BackgroundFrames
 from wibam_core.detection.boxes import Found
 from wibam_core.errors import (
     InputError,
@@ -191,6 +192,21 @@ def test_a_damaged_frame_is_replaced_by_the_nearest_sound_one(three: Run, monkey
     assert summary["damaged"] == {"a": 0, "b": 3, "c": 0}
 
 
+def test_frames_of_the_background_stay_whatever_the_clocks_are(three: Run) -> None:
+    three.preflight(min_overlap_s=0)
+    times_ns = three.read(catalogue.TIMESTAMPS)
+    later = {**CLOCKS, "b": ClockMap(CLOCKS["b"].offset_ns + S // 7, -1e-4)}
+    shown = []
+    for clocks, rate_hz in ((CLOCKS, 12.5), (later, 1.0)):
+        _, store = three.frames(clocks, rate_hz=rate_hz)
+        of_camera = {id_: BackgroundFrames(times_ns[id_], store.stored_ns(id_), 1.0) for id_ in "abc"}
+        shown.append({id_: [frames.of_block(block) for block in range(3)] for id_, frames in of_camera.items()})
+    assert shown[0] == shown[1]
+    count = {camera_id: sum(map(len, of_block)) for camera_id, of_block in shown[0].items()}
+    assert count["b"] == count["c"] == 32
+    assert count["a"] < 32  # some were dropped
+
+
 def test_one_camera_alone_keeps_all_its_instants(three: Run) -> None:
     run = Run(three.root, {"b": three.recordings["b"]})
     run.preflight(min_overlap_s=1)
@@ -305,6 +321,7 @@ def stored(root: Path, spots: bool) -> Run:
             if i % 2:
                 writer.add("b", i * S, i * S - 2, np.zeros((36, 64, 3), np.uint8))
         writer.close({"a": (128, 72), "b": (128, 72)})
+    run.give(catalogue.TIMESTAMPS, {"a": np.arange(40) * S + 3, "b": np.arange(1, 40, 2) * S - 2})
     return run
 
 
@@ -314,7 +331,7 @@ def test_convention_detections_are_in_pixels_of_the_recording(tmp_path: Path, mo
     seen: list[float] = []
     context = run.of("detect", progress=lambda fraction, message="", **figures: seen.append(fraction))
     summary = detect.run(context, DetectConfig(refine="off"))
-    instants = run.read(catalogue.DETECTIONS)
+    instants = run.detected()
     assert [instant.time_ns for instant in instants] == [i * S for i in range(40)]
     for i, instant in enumerate(instants):
         assert set(instant.detections) == ({"a", "b"} if i % 2 else {"a"})
@@ -337,7 +354,7 @@ def test_vehicles_are_looked_for_as_often_as_asked(tmp_path: Path, monkeypatch: 
     monkeypatch.setattr(detect, "load_detector", lambda path, **options: BrightSpots())
     run = stored(tmp_path, spots=True)
     summary = detect.run(run.of("detect"), DetectConfig(refine="off", rate_hz=0.25))
-    instants = run.read(catalogue.DETECTIONS)
+    instants = run.detected()
     assert [instant.time_ns for instant in instants] == [i * S for i in range(0, 40, 4)]
     assert summary["frames"] == 10
 
@@ -359,5 +376,5 @@ def test_custom_detector_runs_on_real_footage(assets: Path, tmp_path: Path) -> N
     summary = detect.run(context, DetectConfig(detector="custom", min_score=0.2))
     assert summary["frames"] == 10
     assert summary["boxes"] >= 20
-    for instant in run.read(catalogue.DETECTIONS):
+    for instant in run.detected():
         assert len(instant.detections["a"])
