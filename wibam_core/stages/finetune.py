@@ -15,6 +15,7 @@ from wibam_core.training.calibration import sd_factors
 from wibam_core.training.dataset import SiteView, site_views
 from wibam_core.training.device import choose_device
 from wibam_core.training.finetune import FinetuneResult, SiteDataset, finetune
+from wibam_core.training.teachable import Teachable
 from wibam_core.training.trainable import TrainableNetwork
 
 
@@ -27,9 +28,11 @@ def run(context: StageContext, config: FinetuneConfig) -> Summary:
     custom = config.network == "custom"
     start = context.assets["network"] if custom else bundled("mono_small.safetensors")
     network = load_to_train(start, config)
-    dataset, enough = _dataset(context, config, network)
+    instants, fits = context.read(ANNOTATIONS), context.read(FITS)
+    taught = Teachable.of(instants, fits, network.teachable)
+    dataset, enough = _dataset(context, config, network, taught)
     enough.require_any()
-    context.warn(*enough.cautions)
+    context.warn(*enough.cautions, *taught.cautions())
     result = finetune(network, dataset, config, context.progress, context.scratch)
     network.card = network.card.model_copy(
         update={
@@ -49,20 +52,18 @@ def run(context: StageContext, config: FinetuneConfig) -> Summary:
 
 
 def _dataset(
-    context: StageContext, config: FinetuneConfig, network: TrainableNetwork
+    context: StageContext, config: FinetuneConfig, network: TrainableNetwork, taught: Teachable
 ) -> tuple[SiteDataset, Sufficiency]:
-    rig, frames = context.read(RIG), context.read(FRAMES)
-    instants, fits, split = context.read(ANNOTATIONS), context.read(FITS), context.read(SPLIT)
-
+    rig, frames, split = context.read(RIG), context.read(FRAMES), context.read(SPLIT)
     width_px = network.view_width_px
     complete = config.method != "paper"  # which learns from detections alone
 
     def subset(name: str) -> list[SiteView]:
         times = set(split.times_ns[name])
-        chosen = [instant for instant in instants if instant.time_ns in times]
-        return site_views(chosen, frames, fits, rig, split.left_out_tracks[name], width_px, complete=complete)
+        chosen = [instant for instant in taught.instants if instant.time_ns in times]
+        return site_views(chosen, frames, taught.fits, rig, split.left_out_tracks[name], width_px, complete=complete)
 
-    enough = training_sufficiency(config.method, instants, fits, split)
+    enough = training_sufficiency(config.method, taught.instants, taught.fits, split)
     return SiteDataset(frames, rig, subset("train"), subset("val")), enough
 
 

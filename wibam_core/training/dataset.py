@@ -16,6 +16,7 @@ from wibam_core.models.frames import INPUT_WIDTH_PX, prepare_camera, prepare_ima
 from wibam_core.models.trunk import INPUT_MULTIPLE
 from wibam_core.scene import AnnotatedInstant, CameraRig, Detections2D, MultiViewVehicle, Vehicles3D
 from wibam_core.training.overlooked import overlooked
+from wibam_core.training.teachable import without
 from wibam_core.training.views import FloatArray, LabelledView
 
 #: Labels whose heading is less certain than this do not tell front from rear.
@@ -115,15 +116,8 @@ def _set_aside(instant: AnnotatedInstant, tracks: frozenset[int]) -> tuple[Annot
         if vehicle.track_id in tracks:
             for camera_id, row in vehicle.views.items():
                 out[camera_id][row] = True
-    row_of = {camera_id: np.cumsum(~gone) - 1 for camera_id, gone in out.items()}
-    vehicles = tuple(
-        replace(vehicle, views={camera_id: int(row_of[camera_id][row]) for camera_id, row in vehicle.views.items()})
-        for vehicle in instant.vehicles
-        if vehicle.track_id not in tracks
-    )
-    detections = {camera_id: seen.where(~out[camera_id]) for camera_id, seen in instant.detections.items()}
     boxes = {camera_id: seen.boxes[out[camera_id]] for camera_id, seen in instant.detections.items()}
-    return AnnotatedInstant(instant.time_ns, detections, vehicles), boxes
+    return without(instant, out), boxes
 
 
 def _labels3d(
