@@ -53,7 +53,7 @@ class FramesConfig(StageConfig):
 
 class DetectConfig(StageConfig):
     detector: Literal["bundled", "custom"] = Field(
-        "bundled", description="'custom': the site's own detector.onnx (YOLOX family, COCO classes)"
+        "bundled", description="'custom': the site's own detector.onnx, e.g. of the YOLOX family"
     )
     rate_hz: float = Field(6.25, gt=0, description="instants per second that are searched for vehicles")
     min_score: float = Field(0.3, gt=0, lt=1, description="weaker boxes are left out")

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Protocol
 
@@ -9,16 +11,11 @@ import onnxruntime
 
 from wibam_core.detection.boxes import Found, Image
 from wibam_core.detection.centre import CentreDetector, is_centre_model
-from wibam_core.detection.yolox import YoloxDetector, is_yolox_model
+from wibam_core.detection.yolox import YOLOX_FILES, YoloxDetector, is_yolox_model
 from wibam_core.errors import InvalidWeights
 
 #: The detector that comes with the project; learned from simulated images.
 BUNDLED = Path(__file__).resolve().parent.parent / "models" / "bundled" / "detector2d.onnx"
-
-_EXPECTED = (
-    "Give an ONNX file of the YOLOX family trained on COCO: one image input (1, 3, H, W) and one output "
-    "(1, cells, 85) that is not decoded, with a cell per 8, 16 and 32 px."
-)
 
 
 class Detector(Protocol):
@@ -28,8 +25,31 @@ class Detector(Protocol):
         """Vehicles in an image (H, W, 3) uint8, BGR, in its own pixels."""
 
 
+@dataclass(frozen=True)
+class DetectorFamily:
+    """ONNX networks that are run alike.
+
+    Attributes:
+        is_model: whether a file holds one, by its metadata and the shapes of its inputs and outputs.
+        detector: what runs it: of the session, ``min_score`` and ``nms_iou``.
+        files: for a person whose file is of no family: what files of this one are; None where nobody brings one along.
+    """
+
+    is_model: Callable[[onnxruntime.InferenceSession], bool]
+    detector: Callable[..., Detector]
+    files: str | None = None
+
+
+FAMILIES: tuple[DetectorFamily, ...] = (
+    DetectorFamily(is_centre_model, CentreDetector),
+    DetectorFamily(is_yolox_model, YoloxDetector, YOLOX_FILES),
+)
+
+_EXPECTED = f"Give an ONNX file of {', or of '.join(family.files for family in FAMILIES if family.files)}."
+
+
 def load_detector(path: Path, *, min_score: float, nms_iou: float, threads: int = 1) -> Detector:
-    """Load a detector, choosing its kind by the file's metadata and shapes.
+    """Load a detector of whichever family the file is of.
 
     Args:
         path: an ONNX file.
@@ -52,10 +72,9 @@ def load_detector(path: Path, *, min_score: float, nms_iou: float, threads: int 
         raise InvalidWeights(
             f"{path.name} is no ONNX network that can be run: {_first_line(error)}", hint=_EXPECTED
         ) from error
-    if is_centre_model(session):
-        return CentreDetector(session, min_score=min_score, nms_iou=nms_iou)
-    if is_yolox_model(session):
-        return YoloxDetector(session, min_score=min_score, nms_iou=nms_iou)
+    for family in FAMILIES:
+        if family.is_model(session):
+            return family.detector(session, min_score=min_score, nms_iou=nms_iou)
     inputs = ", ".join(f"{node.name} {node.shape}" for node in session.get_inputs())
     outputs = ", ".join(f"{node.name} {node.shape}" for node in session.get_outputs())
     raise InvalidWeights(

@@ -10,6 +10,11 @@ from numpy.typing import NDArray
 from wibam_core.detection.boxes import FloatArray, Found, Image, select
 from wibam_core.road_users import CLASSES
 
+#: What files of this family are, after "an ONNX file of".
+YOLOX_FILES = (
+    "the YOLOX family trained on COCO: one image input (1, 3, H, W) and one output (1, cells, 85) that is not decoded, "
+    "with a cell per 8, 16 and 32 px"
+)
 STRIDES = (8, 16, 32)
 _COCO_CLASSES = 80
 #: What moves, by COCO's index: the first of its 80 names.

@@ -49,7 +49,8 @@ VALIDATION_VIEWS = 120
 
 #: A patch is this many times as wide and as high as the true box, so that crops around wrong boxes lie within it.
 _PATCH = 2.4
-#: Patches are shrunk until the longer side of the true box is no longer than this: crops show no more detail.
+#: Patches are shrunk, across and down by itself, until that side of the true box is no longer: crops show no more
+#: detail.
 _BOX_PX = 80.0
 #: How wrong the edges of the boxes are that the refiner learns to correct. Their standard deviation is a share of the
 #: side, drawn for each box between 0 and the first number, and the second number in px, added in squares.
