@@ -12,7 +12,8 @@ import numpy as np
 from wibam_core.detection.boxes import FloatArray, Image, IntArray
 from wibam_core.video.sampling import nearest_times
 
-#: A box hides this share of its sides more on each side, since boxes are never exact and edges are blurred.
+#: A box hides more than itself, since boxes are never exact and edges are blurred: on each side this share of its width
+#: or height, and so many px.
 _MARGIN_SHARE, _MARGIN_PX = 0.08, 2.0
 #: A pixel is known if it was free in so many images.
 _FEWEST = 4

@@ -9,7 +9,7 @@ from pathlib import Path
 from wibam_core.errors import InputError
 from wibam_core.exchange.base import Content, ExchangeFormat, Part
 
-#: Of our own files; no format has this name.
+#: The folder of our own files; no format has this name.
 _OWN_FOLDER = "wibam"
 #: Files of a format that the README lists: some formats write a file a frame.
 _SHOWN_FILES = 20

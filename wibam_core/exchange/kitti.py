@@ -40,7 +40,7 @@ _NAME = "{:06d}"
 _MOST_BYTES = 1 << 20
 #: Visibility from which a vehicle is as little hidden as KITTI's 0, 1 and 2 say, and the middle of each step.
 _OCCLUDED = ((0.8, 0.9), (0.4, 0.6), (0.0, 0.2))
-#: Of what is not known.
+#: What KITTI writes of a vehicle of which it is not known how far it is hidden.
 _UNKNOWN_OCCLUSION = 3
 #: KITTI's pictures have no times of their own: ten a second.
 _USUAL_PERIOD_NS = 100_000_000

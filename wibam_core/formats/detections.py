@@ -25,7 +25,8 @@ from wibam_core.formats.tables import (
 from wibam_core.scene import Boxes2D, FrameKey
 
 BOX = ("x0_px", "y0_px", "x1_px", "y1_px")
-#: Around the whole vehicle, hidden parts included, and standard deviations; null where unknown.
+#: Columns of the box around the whole vehicle, hidden parts included, and of its standard deviations; null where
+#: unknown.
 AMODAL_BOX = tuple(f"amodal_{name}" for name in BOX)
 AMODAL_SD = ("amodal_x0_sd_px", "amodal_y0_sd_px", "amodal_x1_sd_px", "amodal_y1_sd_px")
 

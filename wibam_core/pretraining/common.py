@@ -34,7 +34,7 @@ _MIN_VISIBILITY = 0.25
 _MIN_SIDE_PX = 6.0
 
 _JPEG_QUALITY = 95
-#: Rendered views share a site by so many.
+#: So many rendered views in a row show one simulated site.
 VIEWS_PER_SITE = 20
 
 #: Name of the log in the folder of a script's outputs.

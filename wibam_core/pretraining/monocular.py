@@ -45,7 +45,7 @@ from wibam_core.training.augment import compress, cut_out, jitter_colour, mirror
 from wibam_core.training.device import Precision
 from wibam_core.training.views import LabelledView
 
-#: Of the images trained on: parts of images of `INPUT_WIDTH_PX`.
+#: Size of the images that are trained on: parts of images that are `INPUT_WIDTH_PX` wide.
 WIDTH_PX, HEIGHT_PX = 512, 288
 _MEASURED_PX = (640, 360)
 

@@ -34,9 +34,9 @@ from wibam_core.scene import AnnotatedInstant, ClockMap
 from wibam_core.site import Site
 from wibam_core.stages.given import giving
 
-#: What a site is made of.
+#: What content must have to make a site of it.
 NEEDED = frozenset({Part.CALIBRATION, Part.BOXES_2D, Part.FRAMES})
-#: Of the frame store; frames that come as JPEG are stored as they are.
+#: JPEG quality of frames that do not come as JPEG; those are stored as they are.
 _QUALITY = 95
 _FRAMES_PER_REPORT = 20
 

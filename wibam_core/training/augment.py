@@ -21,9 +21,11 @@ _MIRROR_CAMERA = np.diag([-1.0, 1.0, 1.0])
 #: Vehicles of which less than this share of the 2D box stays in a warped image are ignored rather than learned.
 _MIN_KEPT_SHARE = 0.4
 
-#: How far `shake` zooms (logarithm of the focal length's factor) and turns a camera; what it shows beyond the image.
+#: `shake` multiplies the focal length by a factor whose logarithm lies between these.
 _ZOOM = (-0.15, 0.25)
+#: It turns the camera down and to the left by an angle each with this standard deviation.
 _TURN_SD_RAD = 0.05
+#: What a warped image shows where the old one ends: black.
 _FILL = (0, 0, 0)
 
 

@@ -25,9 +25,9 @@ from wibam_core.training.dataset import SiteView
 from wibam_core.training.finetune import SiteDataset
 from wibam_core.training.trainable import TrainableNetwork
 
-#: Looked at, at most, evenly spread.
+#: This many views of the validation part are looked at, at most, evenly spread.
 _MAX_VIEWS = 240
-#: As detections are used later.
+#: Weaker detections are left out, as they are when the network is evaluated.
 _MIN_SCORE = EvaluateConfig().min_score
 #: A detection farther than this from a fit is no match, m.
 _MATCH_DISTANCE_M = 4.0

@@ -33,7 +33,8 @@ from wibam_core.training.views import LabelledView
 
 _GRADIENT_CLIP = 5.0
 
-#: Of the views; the others are seen as the camera hangs, as they will be after training.
+#: This share of the views is turned and zoomed a little; the others are seen as the camera hangs, as they will be after
+#: training.
 SHAKEN_SHARE = 0.3
 _WEIGHT_DECAY = 1e-3
 
@@ -43,7 +44,7 @@ _MAX_VALIDATION_VIEWS = 96
 #: The last weights are kept unless their validation loss is worse than the best by more than this share.
 _TOLERATED_RISE = 0.03
 
-#: Of a batch, where one process runs the network on all of it.
+#: The share of a batch that a process has that runs the network on all of it.
 _WHOLE = slice(None)
 
 

@@ -18,9 +18,10 @@ from wibam_core.geometry.occlusion import hidden_share, stands_before
 from wibam_core.road_users import BODIES
 from wibam_core.training.views import FloatArray
 
-#: Of a vehicle with a body point nearer than this along the optical axis, nothing is said, m.
+#: Nothing is said of a vehicle with a body point nearer than this along the optical axis, m.
 _NEAREST_M = 0.5
-#: Less of a vehicle within the image, or narrower or lower boxes, teach nothing: share of its box, px.
+#: A vehicle teaches nothing if less than this share of its box lies within the image, or if that part is narrower or
+#: lower than so many px.
 _LEAST_SHARE, _LEAST_PX = 0.3, 8.0
 #: A vehicle of whose box the nearer ones cover more than this share may be hidden.
 _HIDDEN_SHARE = 0.3

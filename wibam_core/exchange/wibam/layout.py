@@ -21,7 +21,7 @@ from pydantic import BaseModel, BeforeValidator, ConfigDict, Field
 
 PERIOD_NS = 80_000_000
 SUBSETS = ("train", "val", "test")
-#: Of the published frames.
+#: Width and height of the published frames.
 SIZE_PX = (1920, 1080)
 #: nuScenes' detection classes in the order of their numbers, from 1 on.
 CATEGORIES = (

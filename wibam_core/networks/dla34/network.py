@@ -32,7 +32,7 @@ from wibam_core.training.views import FloatArray, LabelledView
 FAMILY_NAME = "centertrack-dla34"
 #: How its boxes can be placed: it states no uncertainties to fuse by, and knows no footprints.
 DECODES: tuple[Decode, ...] = ("depth", "plane")
-#: As converted weights have them.
+#: The card of converted weights, apart from where they come from.
 CARD = ModelCard(family=FAMILY_NAME, classes=NUSCENES_CLASSES, decode=DECODES[0])
 
 
@@ -50,7 +50,8 @@ class CenterTrack:
         long_side_px: of its input.
     """
 
-    #: Of the published method, for batches of 80, and of CenterTrack's own training, for batches of 32.
+    #: Published rates: "paper" as Howe et al. (2021) trained, in batches of 80, the others as CenterTrack was, in
+    #: batches of 32.
     default_rates: Mapping[str, float] = MappingProxyType({"paper": 3.125e-5, "lifted": 1.25e-4, "combined": 1.25e-4})
     states_sd = False
     long_side_px = LONG_SIDE_PX

@@ -17,7 +17,7 @@ from wibam_core.models.trunk import STRIDE
 from wibam_core.networks.small.architecture import REFERENCE_FOCAL_PX, UNCERTAINTY_GROUPS, SmallOutputs
 from wibam_core.placing import Decode
 
-#: Those that place the footprint, not the 3D centre.
+#: Ways to place boxes that place the footprint's centre, not the 3D centre.
 _BY_FOOTPRINT = ("ground", "fitted", "refined")
 
 

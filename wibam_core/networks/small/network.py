@@ -30,7 +30,7 @@ from wibam_core.training.dataset import ImageCache, SiteView
 from wibam_core.training.multiview import OtherViews
 from wibam_core.training.views import LabelledView
 
-#: As the bundled weights have them.
+#: The card of the bundled weights.
 CARD = ModelCard(family=FAMILY_NAME, classes=CLASS_NAMES, decode="plane", input_width_px=INPUT_WIDTH_PX)
 
 

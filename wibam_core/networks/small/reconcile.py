@@ -20,28 +20,31 @@ from wibam_core.models.trunk import STRIDE
 from wibam_core.networks.small.architecture import REFERENCE_FOCAL_PX, UNCERTAINTY_GROUPS
 from wibam_core.networks.small.decode import PeakValues, boxes2d_px, centres3d_px, deviations, footprints_px
 
-#: Standard deviation of an edge of the regressed 2D box about the body's: px, and share of the box's side.
+#: How far an edge of the regressed 2D box lies off the body's (standard deviation): px, and share of the box's side,
+#: added in squares.
 _EDGE_SD_PX, _EDGE_SD_SHARE = 0.7, 0.03
-#: Of better edges, added to their own: px.
+#: The same of an edge of a second look, added to what that states itself: no vehicle has quite the body of its class.
 _BODY_SD_PX = 0.3
-#: Headings count as if they erred this many times less than they say: else the edges of 2D boxes turn vehicles. Better
-#: edges may.
+#: Headings count as if they erred this many times less than the network says, since the edges of 2D boxes would turn
+#: vehicles otherwise: the first number beside those, the second beside edges of a second look, which err less.
 _YAW_TRUST, _YAW_TRUST_BESIDE_EDGES = 2.0, 1.5
 #: An edge nearer to the image's border than this may have been cut by it, px.
 _BORDER_PX = 3.0
 #: An edge of which a nearer vehicle's box covers more than this share may be hidden by it.
 _HIDDEN_SHARE = 0.3
-#: By how much farther down a nearer vehicle reaches, and how far beyond its box it may hide edges, px.
+#: A vehicle stands nearer than another if its box reaches at least so much farther down, px; edges up to so much beyond
+#: its box may be hidden by it, px.
 _LOWER_PX, _SLACK_PX = 1.0, 2.0
 #: Residuals beyond this many standard deviations count less and less.
 _ROBUST_SD = 3.0
+#: Gauss-Newton steps: fits start close to where they end.
 _STEPS = 4
-#: A fit that leads farther leads nowhere: m over the ground, log of a size, rad.
+#: A fit that moves a box farther than this is given up: m over the ground, log of a size, rad.
 _FARTHEST_M, _FARTHEST_LOG_SIZE, _FARTHEST_RAD = 3.0, 0.5, 0.5
-#: Of a vehicle with a body point nearer than this along the optical axis, no edge is compared, m.
+#: No edge is compared of a vehicle with a body point nearer than this along the optical axis, m.
 _NEAREST_M = 0.5
 
-#: The parameters: x, y, log length, log width, log height, yaw; derivatives are differences over so much each way.
+#: Steps, to either side, over which derivatives are differences: in x, y (m), log length, width and height, yaw (rad).
 _DELTAS = (0.05, 0.05, 0.01, 0.01, 0.01, 0.01)
 _PLACE, _LOG_SIZE, _TURN = slice(0, 2), slice(2, 5), slice(5, 6)
 _CENTRE, _DEPTH, _SIZE, _YAW, _FOOTPRINT = map(
