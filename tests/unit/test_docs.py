@@ -6,6 +6,8 @@ import json
 import re
 import subprocess
 import sys
+import tomllib
+from collections.abc import Iterable
 from pathlib import Path
 
 import pytest
@@ -122,3 +124,13 @@ def test_the_layout_is_that_of_the_package() -> None:
     modules = {path.name for path in (ROOT / "wibam_core").glob("*.py") if path.name != "__init__.py"}
     assert set(re.findall(r"\b([a-z]+)/(?= )", inside)) - {"wibam_core"} == packages
     assert set(re.findall(r"\b[a-z_]+\.py\b", inside)) == modules
+
+
+def test_the_order_of_imports_is_what_import_linter_holds() -> None:
+    def layers(lines: Iterable[str]) -> list[set[str]]:
+        return [set(re.findall(r"\w+", line.replace("wibam_core.", ""))) for line in lines]
+
+    drawn = fenced(ROOT / "docs" / "architecture.md", "")[1]
+    with (ROOT / "pyproject.toml").open("rb") as file:
+        contract = tomllib.load(file)["tool"]["importlinter"]["contracts"][0]
+    assert layers(drawn.split("→")) == layers(contract["layers"])
