@@ -10,6 +10,7 @@ from wibam_core.artifacts import catalogue
 from wibam_core.artifacts.access import MANIFEST, ArtifactReader, ArtifactWriter
 from wibam_core.artifacts.artifact import Artifact
 from wibam_core.artifacts.catalogue import made_by
+from wibam_core.config import FinetuneConfig
 from wibam_core.detection.instants import annotated, by_frame
 from wibam_core.documents.manifest import Manifest
 from wibam_core.documents.warnings import StageWarning
@@ -72,6 +73,7 @@ class StageFolders:
         recordings: Mapping[str, Path] | None = None,
         assets: Mapping[str, Path] | None = None,
         progress: Progress = silent,
+        checked_options: FinetuneConfig | None = None,
     ) -> StageContext:
         """What the stage would be given; it reads and writes here."""
         spec = STAGES[stage]
@@ -87,4 +89,5 @@ class StageFolders:
             scratch,
             progress,
             self.warnings.append,
+            checked_options,
         )

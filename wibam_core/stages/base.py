@@ -9,6 +9,7 @@ from typing import Any, TypeVar
 
 from wibam_core.artifacts.access import ArtifactReader, ArtifactWriter
 from wibam_core.artifacts.artifact import Artifact
+from wibam_core.config import FinetuneConfig
 from wibam_core.documents.warnings import Caution, StageWarning
 from wibam_core.progress import Progress
 from wibam_core.site import Site
@@ -36,6 +37,7 @@ class StageContext:
         scratch: survives a killed attempt of this very stage (same hash): checkpoints to resume from.
         progress: call it a few times a second at most.
         warned: who is told of warnings; see `warn`.
+        checked_options: options of fine-tuning that the site's own network must be able to do; None: not here.
     """
 
     stage: str
@@ -47,6 +49,7 @@ class StageContext:
     scratch: Path
     progress: Progress
     warned: WarningListener
+    checked_options: FinetuneConfig | None = None
 
     def warn(self, *cautions: Caution) -> None:
         """Say what makes the result doubtful: to the log, the job, the terminal and the top of the report."""

@@ -93,6 +93,7 @@ class StageRequest(BaseModel):
             self.scratch,
             progress,
             warned,
+            STAGES[self.stage].checked_options(self.config),
         )
 
 

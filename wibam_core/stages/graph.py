@@ -18,7 +18,7 @@ from typing import Any
 from wibam_core.artifacts import catalogue
 from wibam_core.artifacts.artifact import Artifact
 from wibam_core.artifacts.catalogue import made_by
-from wibam_core.config import PipelineConfig, StageConfig
+from wibam_core.config import FinetuneConfig, PipelineConfig, StageConfig
 from wibam_core.errors import UnknownOption
 from wibam_core.site import Site
 from wibam_core.stages.assets import ASSETS, require_assets
@@ -45,6 +45,23 @@ def _everything(site: Site) -> Any:
     return site.model_dump()
 
 
+def _no_options(config: PipelineConfig) -> FinetuneConfig | None:
+    return None
+
+
+def _of_network(config: PipelineConfig) -> FinetuneConfig | None:
+    """What the site's own network must be able to do, where it is used."""
+    if not ASSETS["network"].is_used(config):
+        return None
+    options = config.finetune
+    return FinetuneConfig(
+        network=options.network,
+        method=options.method,
+        decode=options.decode,
+        input_width_px=options.input_width_px,
+    )
+
+
 @dataclass(frozen=True)
 class StageSpec:
     """One stage.
@@ -58,6 +75,8 @@ class StageSpec:
         assets: other uploaded files (`wibam_core.stages.assets`) that it reads where the options use them.
         asset_checks: modules of wibam_core that it only checks assets with: both can make it fail, but change nothing
             that it writes.
+        checked_options: those of fine-tuning that it checks the site's own network against; what it writes is the same
+            for all.
     """
 
     name: str
@@ -67,6 +86,7 @@ class StageSpec:
     reads_recordings: bool = False
     assets: tuple[str, ...] = ()
     asset_checks: frozenset[str] = frozenset()
+    checked_options: Callable[[PipelineConfig], FinetuneConfig | None] = _no_options
 
     @property
     def requires(self) -> tuple[str, ...]:
@@ -105,6 +125,7 @@ _SPECS = (
         reads_recordings=True,
         assets=("labels", "network"),
         asset_checks=frozenset({"formats.labels", "networks.registry"}),
+        checked_options=_of_network,
     ),
     StageSpec("sync", "Synchronise the cameras", (catalogue.PROBE,), _signals, reads_recordings=True),
     StageSpec("calibrate", "Calibrate the cameras", (), _calibration),
@@ -209,11 +230,13 @@ def plan(site: Site, config: PipelineConfig, inputs: InputDigests) -> tuple[Plan
             contents[spec.name] = _hash_of({"stage": spec.name, "given": inputs.given[spec.name]})
             planned.append(PlannedStage(spec.name, contents[spec.name], ()))
             continue
+        checked = spec.checked_options(config)
         facts = {
             "stage": spec.name,
             "code": spec.code(),
             "writes": {artifact.name: artifact.version for artifact in spec.writes},
             "options": spec.config(config).model_dump(),
+            "checked": None if checked is None else checked.model_dump(),
             "site": spec.site_part(site),
             "recordings": dict(inputs.recordings) if spec.reads_recordings else None,
             "assets": {name: inputs.assets[name] for name in spec.assets_read(config) if name in inputs.assets},
@@ -221,7 +244,7 @@ def plan(site: Site, config: PipelineConfig, inputs: InputDigests) -> tuple[Plan
         }
         planned.append(PlannedStage(spec.name, _hash_of(facts), spec.requires))
         if spec.asset_checks:
-            facts |= {"code": spec.code(checks=False), "assets": {}}
+            facts |= {"code": spec.code(checks=False), "assets": {}, "checked": None}
         contents[spec.name] = _hash_of(facts)
     return tuple(planned)
 

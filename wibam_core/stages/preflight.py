@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from wibam_core.artifacts.catalogue import LIMITS, PROBE, TIMESTAMPS
-from wibam_core.config import PreflightConfig
+from wibam_core.config import FinetuneConfig, PreflightConfig
 from wibam_core.documents.recordings import Limits, Probe, VideoInfo
 from wibam_core.documents.warnings import Caution
 from wibam_core.errors import InputError, InvalidWeights, MissingCamera, NoOverlap, UnreadableVideo
@@ -33,13 +33,14 @@ def run(context: StageContext, config: PreflightConfig) -> Summary:
         NoOverlap: a recording shorter than the time that it must share with another.
         InvalidLabels: hand labels that cannot be used.
         InvalidWeights: a network that fine-tuning cannot start from.
+        InvalidOption: options of fine-tuning that the network has no use for.
     """
     missing = [camera_id for camera_id in context.site.camera_ids if camera_id not in context.recordings]
     if missing:
         raise MissingCamera(f"there is no recording of camera {', '.join(missing)}", cameras=missing)
     labelled = {"labelled_instants": len(read_labels(context.assets["labels"]))} if "labels" in context.assets else {}
-    if "network" in context.assets:
-        _check_network(context.assets["network"])
+    if context.checked_options is not None:
+        _check_network(context.assets["network"], context.checked_options)
     infos: dict[str, VideoInfo] = {}
     times: dict[str, NDArray[np.int64]] = {}
     for number, camera in enumerate(context.site.cameras):
@@ -77,11 +78,11 @@ def _measure(camera_id: str, path: Path) -> tuple[VideoInfo, NDArray[np.int64]]:
         raise UnreadableVideo(f"camera {camera_id}: {error.message}", hint=error.hint, camera=camera_id) from error
 
 
-def _check_network(path: Path) -> None:
-    from wibam_core.networks.registry import load_network  # torch takes seconds to import
+def _check_network(path: Path, options: FinetuneConfig) -> None:
+    from wibam_core.networks.registry import load_to_train  # torch takes seconds to import
 
     try:
-        load_network(path)
+        load_to_train(path, options)
     except InvalidWeights as error:
         raise InvalidWeights(f"the site's network: {error.message}", hint=error.hint, **error.details) from error
 

@@ -21,6 +21,7 @@ from wibam_core.networks.dla34.network import CARD, CenterTrack
 from wibam_core.networks.registry import load_network, save_network
 from wibam_core.scene import Vehicles3D
 from wibam_core.stages import evaluate, finetune, preflight, track
+from wibam_core.stages.graph import InputDigests, plan
 from wibam_core.stages.runner import SiteFolder, StageUpdate, run_pipeline
 from wibam_core.stages.store import StageStore
 
@@ -125,16 +126,47 @@ def test_one_that_cannot_be_used_is_refused_by_the_first_stage(tmp_path: Path) -
         run_pipeline(folder, StageStore(tmp_path / "store"), PipelineConfig())
 
 
+@pytest.mark.parametrize(("options", "why"), UNABLE)
+def test_options_that_it_cannot_do_are_refused_by_the_first_stage(
+    tmp_path: Path, weights: Path, options: dict[str, Any], why: str
+) -> None:
+    (tmp_path / "video").write_bytes(b"no video")
+    recordings = dict.fromkeys(site_of().camera_ids, tmp_path / "video")
+    folder, store = SiteFolder(site_of(), recordings, {"network": weights}), StageStore(tmp_path / "store")
+    with pytest.raises(InvalidOption, match=why):
+        run_pipeline(folder, store, PipelineConfig.parse({"finetune": {"network": "custom", **options}}))
+    with pytest.raises(UnreadableVideo):  # it can do what is usual
+        run_pipeline(folder, store, PipelineConfig.parse({"finetune": {"network": "custom"}}))
+
+
+def test_what_it_is_asked_for_is_checked_again_but_reads_no_recording_again(weights: Path) -> None:
+    inputs = InputDigests(dict.fromkeys(site_of().camera_ids, "a"), {"network": "b"})
+
+    def hashes(**options: object) -> dict[str, str]:
+        planned = plan(site_of(), PipelineConfig.parse({"finetune": {"network": "custom", **options}}), inputs)
+        return {stage.name: stage.hash for stage in planned}
+
+    usual = hashes()
+    otherwise = {name for name, address in hashes(decode="depth").items() if address != usual[name]}
+    assert otherwise == {"preflight", "finetune", "evaluate", "track", "safety", "report"}
+    assert {name for name, address in hashes(steps=3).items() if address != usual[name]} == otherwise - {"preflight"}
+
+
 def test_preflight_names_the_first_tensor_that_does_not_fit(tmp_path: Path, weights: Path) -> None:
     changed: dict[str, Any] = load_file(str(weights))
     del changed["dep.2.bias"]
     save_file(changed, str(tmp_path / "changed"), metadata=metadata_of(CARD))
     site, folders = site_of(tiny_rig()), StageFolders(tmp_path / "stages")
     there = dict.fromkeys(site.camera_ids, tmp_path / "changed")
+
+    def check(network: Path) -> None:
+        context = folders.context("preflight", site, there, {"network": network}, checked_options=CUSTOM)
+        preflight.run(context, PreflightConfig())
+
     with pytest.raises(InvalidWeights, match=r"the site's network: changed lacks the tensor dep\.2\.bias"):
-        preflight.run(folders.context("preflight", site, there, {"network": tmp_path / "changed"}), PreflightConfig())
+        check(tmp_path / "changed")
     with pytest.raises(UnreadableVideo):  # its own is in order
-        preflight.run(folders.context("preflight", site, there, {"network": weights}), PreflightConfig())
+        check(weights)
 
 
 def test_a_device_that_is_not_there_is_refused_before_the_first_stage(
