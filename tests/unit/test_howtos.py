@@ -1,6 +1,7 @@
 """Each how-to does what it says: its steps are applied to a copy of the package, and the tests that it adds pass there.
 
-A step is a line ``New file `PATH`:`` or ``In `PATH`, after (or before) `LINE`:``, and the code below it.
+A step is a line ``New file `PATH`:`` or ``In `PATH`, after `LINE`:`` (or ``before``, or ``at the end of`` where the
+line begins a block), and the code below it.
 """
 
 from __future__ import annotations
@@ -19,7 +20,8 @@ import pytest
 ROOT = Path(__file__).resolve().parents[2]
 HOWTOS = sorted((ROOT / "docs" / "howto").glob("*.md"))
 _STEP = re.compile(
-    r"^ *(?:New file `(?P<new>[^`]+)`|In `(?P<old>[^`]+)`, (?P<where>after|before) `(?P<line>[^`]+)`):\n\n"
+    r"^ *(?:New file `(?P<new>[^`]+)`|"
+    r"In `(?P<old>[^`]+)`, (?P<where>after|before|at the end of) `(?P<line>[^`]+)`):\n\n"
     r"(?P<indent> *)```python\n(?P<code>.*?)^ *```$",
     re.MULTILINE | re.DOTALL,
 )
@@ -43,7 +45,11 @@ class Step:
             return
         lines = target.read_text(encoding="utf-8").splitlines(keepends=True)
         assert lines.count(f"{self.line}\n") == 1, f"{self.path} has not one line {self.line!r}"
-        at = lines.index(f"{self.line}\n") + (self.where == "after")
+        at = lines.index(f"{self.line}\n") + (self.where != "before")
+        if self.where == "at the end of":
+            at = next((n for n in range(at, len(lines)) if lines[n][0] not in " \n"), len(lines))
+            while not lines[at - 1].strip():
+                at -= 1
         target.write_text("".join([*lines[:at], self.code, *lines[at:]]), encoding="utf-8")
 
 
@@ -104,5 +110,9 @@ def test_a_step_puts_lines_where_it_says(tmp_path: Path) -> None:
     for step in steps(howto):
         step.apply(tmp_path)
     assert (tmp_path / "a.py").read_text() == "x = 1\ny = 2\n\nALL = (\n    x,\n    y,\n)\n"
+    (tmp_path / "b.py").write_text("class A:\n    x = 1\n\n\nclass B:\n    y = 1\n")
+    Step("b.py", "at the end of", "class A:", "    x = 2\n").apply(tmp_path)
+    Step("b.py", "at the end of", "class B:", "    y = 2\n").apply(tmp_path)
+    assert (tmp_path / "b.py").read_text() == "class A:\n    x = 1\n    x = 2\n\n\nclass B:\n    y = 1\n    y = 2\n"
     with pytest.raises(AssertionError, match="has not one line"):
         Step("a.py", "after", "    z,", "").apply(tmp_path)
