@@ -13,7 +13,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import least_squares
 
-from wibam_core.calibration.pnp import check_spread, mirrored_world, moved, near_origin
+from wibam_core.calibration.pnp import moved, near_origin
+from wibam_core.calibration.points import check_points
 from wibam_core.calibration.robust import find_inliers
 from wibam_core.errors import CalibrationError
 from wibam_core.geometry.camera import Camera
@@ -54,7 +55,7 @@ def solve_ground_camera(ground: Array, pixels: Array, width_px: int, height_px: 
         CalibrationError: too few or degenerate points, a mirrored ground, or a view from which the focal length does
             not follow (straight down).
     """
-    check_spread(ground, pixels)
+    check_points(ground, pixels)
     origin = near_origin(ground)
     ground = ground - origin[:2]
 
@@ -162,7 +163,10 @@ def camera_from_homography(H_image_ground: Array, visible: Array, width_px: int,
     u, _, vt = np.linalg.svd(np.stack([M[:, 0], M[:, 1], np.cross(M[:, 0], M[:, 1])], axis=1))
     T_world_cam = SE3(u @ np.diag([1, 1, np.linalg.det(u @ vt)]) @ vt, M[:, 2]).inverse()
     if T_world_cam.translation[2] <= 0:
-        raise mirrored_world()
+        raise CalibrationError(
+            "the ground looks mirrored: the points fit a camera below it",
+            hint="World axes must be right-handed with Z up: swap X and Y, or flip the sign of one of them.",
+        )
     K = centre @ np.diag([focal, focal, 1.0])
     return Camera(K, np.zeros(0), T_world_cam, width_px, height_px)
 

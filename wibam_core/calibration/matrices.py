@@ -2,20 +2,30 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import cv2
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from wibam_core.calibration.view import check_view, is_plausible
+from wibam_core.documents.warnings import Caution
 from wibam_core.errors import CalibrationError
 from wibam_core.geometry.camera import Camera
-from wibam_core.geometry.ground import intersect_plane
 from wibam_core.geometry.se3 import SE3
 
 Array = NDArray[np.float64]
 
-_MAX_HEIGHT_M = 500.0
-#: Ground farther from a camera than this is of no use.
-GROUND_RANGE_M = 200.0
+#: A rotation vector is at most half a turn long; some write up to a whole one.
+_LONGEST_ROTATION_RAD = 2 * np.pi
+#: Focal lengths beyond these multiples of the image's longer side are no traffic camera's.
+_FOCAL_RANGE = (0.2, 30.0)
+#: How far off the middle of the image principal points are, at most, as shares of its width and height.
+_OFF_CENTRE = 0.1
+#: Sizes of pictures are multiples of this.
+_SIZE_STEP_PX = 4
+#: How far width and height of pixels may differ before it is worth a word.
+_SQUARE = 1.25
 #: A pixel must come back to within this of itself once its distortion is undone and done again, as far out as this
 #: share of the image's half diagonal. Published coefficients of wide lenses often fold back beyond it, in the very
 #: corners, where no board was seen; there the lens is continued (`wibam_core.geometry.distortion`).
@@ -39,9 +49,36 @@ def camera_from_matrices(
     Raises:
         CalibrationError: if they make no camera, or none that looks at the ground from above.
     """
-    camera = build_camera(K, dist, SE3.from_rvec_tvec(rvec, tvec).inverse(), width_px, height_px)
-    check_view(camera)
+    length_rad = float(np.linalg.norm(np.asarray(rvec, dtype=np.float64)))
+    if length_rad > _LONGEST_ROTATION_RAD:
+        raise CalibrationError(
+            f"rvec is {length_rad:.1f} long, but a rotation vector in radians is at most half a turn, 3.14",
+            hint="rvec is OpenCV's Rodrigues vector in radians: are these degrees, or angles about single axes?",
+        )
+    T_cam_world = SE3.from_rvec_tvec(rvec, tvec)
+    camera = build_camera(K, dist, T_cam_world.inverse(), width_px, height_px)
+    if is_plausible(camera):
+        return camera
+    hint = _meant(camera, T_cam_world)
+    try:
+        check_view(camera)
+    except CalibrationError as error:
+        raise CalibrationError(error.message, hint=hint or error.hint) from error
+    if hint is not None:
+        raise CalibrationError("rvec and tvec make a camera that is not upright", hint=hint)
     return camera
+
+
+def _meant(camera: Camera, given: SE3) -> str | None:
+    """What to do with a pose that makes no sense as ``T_cam_world``, and makes some read otherwise; else None."""
+    turned_over = SE3(np.diag([1.0, -1.0, -1.0]), np.zeros(3))
+    readings = (
+        (given, "rvec and tvec look like camera to world: give their inverse, world to camera."),
+        (SE3(given.rotation.T, given.translation), "tvec looks like the camera's position C: give -R C."),
+        (turned_over @ given.inverse(), "The world's Z axis looks to point down: change the signs of y and z."),
+    )
+    fitting = [hint for pose, hint in readings if is_plausible(replace(camera, T_world_cam=pose))]
+    return fitting[0] if len(fitting) == 1 else None
 
 
 def build_camera(K: ArrayLike, dist: ArrayLike, T_world_cam: SE3, width_px: int, height_px: int) -> Camera:
@@ -57,6 +94,7 @@ def build_camera(K: ArrayLike, dist: ArrayLike, T_world_cam: SE3, width_px: int,
             "the lens model has a tilted sensor (distortion coefficients 13 and 14), which is not supported",
             hint="Calibrate again without cv2.CALIB_TILTED_MODEL, or undistort the recording first.",
         )
+    _check_layout(np.asarray(K, dtype=np.float64), width_px, height_px)
     try:
         camera = Camera(np.asarray(K), coefficients, T_world_cam, width_px, height_px)
     except ValueError as error:
@@ -70,6 +108,66 @@ def build_camera(K: ArrayLike, dist: ArrayLike, T_world_cam: SE3, width_px: int,
         )
     _check_lens(camera)
     return camera
+
+
+def _check_layout(K: Array, width_px: int, height_px: int) -> None:
+    """Raises:
+    CalibrationError: K is transposed, or its focal lengths are in another unit than pixels.
+    """
+    if K.shape == (3, 3) and K[2, :2].any() and not K[:2, 2].any():
+        raise CalibrationError(
+            "K is transposed", hint=f"Its rows and columns are swapped, as MATLAB has them. {_INTRINSICS_HINT}"
+        )
+    longer = max(width_px, height_px)
+    focal = np.diagonal(K)[:2]
+    if ((focal > 0) & (focal < _FOCAL_RANGE[0] * longer)).any() or (focal > _FOCAL_RANGE[1] * longer).any():
+        raise CalibrationError(
+            f"the focal lengths in K, {focal[0]:g} and {focal[1]:g}, are no traffic camera's at {width_px}x{height_px} "
+            "px",
+            hint="They are in pixels of the recording: multiply millimetres by the image's width in pixels over the "
+            f"sensor's in millimetres, and shares of the width by {width_px}.",
+        )
+
+
+def size_of_intrinsics(K: Array, width_px: int, height_px: int) -> tuple[int, int] | None:
+    """About the size of the picture that K looks made for, by its principal point; None where that is the given one."""
+    ratios = np.array([(K[0, 2] + 0.5) / (width_px / 2), (K[1, 2] + 0.5) / (height_px / 2)])
+    ratio = float(ratios.mean())
+    if np.abs(ratios - 1).max() <= 2 * _OFF_CENTRE or np.abs(ratios / ratio - 1).max() > _OFF_CENTRE:
+        return None
+    width, height = (_SIZE_STEP_PX * round(size * ratio / _SIZE_STEP_PX) for size in (width_px, height_px))
+    return width, height
+
+
+def intrinsics_cautions(camera: Camera) -> list[Caution]:
+    """What is unusual about a camera's intrinsics."""
+    K, width_px, height_px = camera.K, camera.width_px, camera.height_px
+    found = []
+    off = np.array([(K[0, 2] + 0.5) / width_px - 0.5, (K[1, 2] + 0.5) / height_px - 0.5])
+    if np.abs(off).max() > _OFF_CENTRE:
+        size = size_of_intrinsics(K, width_px, height_px)
+        guess = "" if size is None else f" It would be in the middle of about {size[0]}x{size[1]} px."
+        found.append(
+            Caution(
+                code="principal_point",
+                message=f"the principal point ({K[0, 2]:.0f}, {K[1, 2]:.0f}) lies far from the middle of "
+                f"{width_px}x{height_px} px",
+                hint=f"Is K that of another resolution or crop? It must be that of the recording.{guess}",
+                details={"principal_point_px": [float(K[0, 2]), float(K[1, 2])]},
+            )
+        )
+    ratio = float(K[0, 0] / K[1, 1])
+    if not 1 / _SQUARE <= ratio <= _SQUARE:
+        found.append(
+            Caution(
+                code="focal_ratio",
+                message=f"the focal lengths in K, {K[0, 0]:.0f} and {K[1, 1]:.0f} px, differ as if pixels were not "
+                "square",
+                hint="Does the recording show circles as circles? If so, K is that of another picture.",
+                details={"focal_px": [float(K[0, 0]), float(K[1, 1])]},
+            )
+        )
+    return found
 
 
 _INTRINSICS_HINT = "K is [[fx, 0, cx], [0, fy, cy], [0, 0, 1]] in pixels of the recording's size."
@@ -105,36 +203,3 @@ def _check_lens(camera: Camera, steps: int = 41) -> None:
             "undistort the recording first, or crop it to the part they are valid for.",
             pixel=pixels[worst].tolist(),
         )
-
-
-def check_view(camera: Camera) -> None:
-    """Refuse a camera that does not look at the ground from above.
-
-    Raises:
-        CalibrationError: below the ground, implausibly high, or with no ground in view.
-    """
-    height = float(camera.centre_m[2])
-    if height <= 0:
-        raise CalibrationError(
-            f"the camera comes out {-height:.2f} m below the ground",
-            hint="rvec and tvec are OpenCV's, world to camera; the world has Z up and the ground at Z = 0, in metres.",
-        )
-    if height > _MAX_HEIGHT_M:
-        raise CalibrationError(
-            f"the camera comes out {height:.0f} m above the ground",
-            hint="Positions are in metres: are these millimetres or centimetres?",
-        )
-    if len(visible_ground(camera)) == 0:
-        raise CalibrationError(
-            f"no ground within {GROUND_RANGE_M:.0f} m is in the camera's view",
-            hint="rvec and tvec are OpenCV's, world to camera (x right, y down, z forward); is one of them inverted?",
-        )
-
-
-def visible_ground(camera: Camera, steps: int = 32) -> Array:
-    """(N, 3) ground points in view within `GROUND_RANGE_M`, at a regular grid of pixels; N may be 0."""
-    u, v = np.meshgrid(np.linspace(0, camera.width_px - 1, steps), np.linspace(0, camera.height_px - 1, steps))
-    points = intersect_plane(camera, np.stack([u.ravel(), v.ravel()], axis=1))
-    with np.errstate(invalid="ignore"):
-        near = np.linalg.norm(points - camera.centre_m, axis=1) <= GROUND_RANGE_M
-    return np.asarray(points[near])

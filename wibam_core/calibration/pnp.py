@@ -11,21 +11,12 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from wibam_core.calibration.points import MIN_POINTS, check_points
 from wibam_core.calibration.robust import find_inliers
 from wibam_core.errors import CalibrationError
 from wibam_core.geometry.se3 import SE3
 
 Array = NDArray[np.float64]
-
-MIN_POINTS = 4
-#: Points are on one line when their extent across it is smaller than this share of their extent along it.
-_LINE = 0.01
-#: A mirrored world fits this many times better than the given one when its axes are left-handed.
-_MIRROR_GAIN = 4.0
-#: A world that fits better than this is not taken for mirrored.
-_MIRROR_MIN_PX = 5.0
-#: What a wrong point counts at most where fits are compared.
-_GROSS_PX = 50.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -53,34 +44,19 @@ def solve_pose(world: Array, pixels: Array, K: Array, dist: Array) -> PoseFit:
         dist: (n,) in OpenCV order.
 
     Raises:
-        CalibrationError: too few points, points on one line, a mirrored world, or points behind the camera.
+        CalibrationError: too few points, points on one line, or points behind the camera.
     """
-    check_spread(world, pixels)
+    check_points(world, pixels)
     K, dist = np.array(K, dtype=np.float64), np.array(dist, dtype=np.float64)
     origin = near_origin(world)
     world = world - origin
     fit = _fit(world, pixels, K, dist)
     if fit is None:
         raise CalibrationError("no pose has all points in front of the camera", hint=_CHECK_HINT)
-    misfit = _misfit(fit)
-    if misfit > _MIRROR_MIN_PX:
-        mirrored = _fit(world * np.array([-1.0, 1.0, 1.0]), pixels, K, dist)
-        if mirrored is not None and misfit > _MIRROR_GAIN * max(_misfit(mirrored), 0.5):
-            raise mirrored_world()
-    if fit.T_world_cam.translation[2] <= 0:
-        raise mirrored_world()
     return replace(fit, T_world_cam=moved(fit.T_world_cam, origin))
 
 
 _CHECK_HINT = "Check that each pixel belongs to its world point, and that pixels are those of the recording's size."
-
-
-def mirrored_world() -> CalibrationError:
-    """The error for left-handed world coordinates, under which a camera comes out below the ground or fits badly."""
-    return CalibrationError(
-        "the world axes look mirrored: the points fit a left-handed system, or a camera below the ground",
-        hint="World axes must be right-handed with Z up: swap X and Y, or flip the sign of one of them.",
-    )
 
 
 def near_origin(points: Array) -> Array:
@@ -95,25 +71,6 @@ def near_origin(points: Array) -> Array:
 def moved(T_world_cam: SE3, origin: Array) -> SE3:
     """A pose that was solved in coordinates counted from ``origin`` (3,), in the user's own."""
     return SE3(T_world_cam.rotation, T_world_cam.translation + origin)
-
-
-def check_spread(world: Array, pixels: Array) -> None:
-    """Refuse correspondences (N, 2 or 3) and (N, 2) that cannot fix a camera.
-
-    Raises:
-        CalibrationError: fewer than four, or all on one line in the world or in the image.
-    """
-    if len(world) < MIN_POINTS:
-        raise CalibrationError(f"{len(world)} correspondences are too few; at least {MIN_POINTS} are needed")
-    for points, where in ((world, "world"), (pixels, "image")):
-        if not np.isfinite(points).all():
-            raise CalibrationError(f"a {where} coordinate is not finite")
-        extents = np.linalg.svd(points - points.mean(axis=0), compute_uv=False)
-        if extents[1] <= _LINE * max(extents[0], 1e-9):
-            raise CalibrationError(
-                f"all {len(points)} points lie on one line in the {where}",
-                hint="Spread the points over the ground that vehicles use, to the left and right, near and far.",
-            )
 
 
 def _fit(world: Array, pixels: Array, K: Array, dist: Array) -> PoseFit | None:
@@ -173,8 +130,3 @@ def _errors_px(T_cam_world: SE3, world: Array, pixels: Array, K: Array, dist: Ar
 
 def _rms(fit: PoseFit) -> float:
     return float(np.sqrt((fit.errors_px[fit.used] ** 2).mean()))
-
-
-def _misfit(fit: PoseFit) -> float:
-    """Mean error over all points, also those left out, each counted as `_GROSS_PX` at most."""
-    return float(np.minimum(fit.errors_px, _GROSS_PX).mean())

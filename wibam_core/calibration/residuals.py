@@ -2,14 +2,19 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
-from wibam_core.calibration.matrices import visible_ground
+from wibam_core.calibration.points import place
+from wibam_core.calibration.robust import MIN_POINTS
+from wibam_core.calibration.view import visible_ground
 from wibam_core.documents.base import finite
 from wibam_core.documents.calibration import CameraResiduals, PointResidual, Zone
+from wibam_core.documents.warnings import Caution
+from wibam_core.errors import CalibrationError
 from wibam_core.geometry.camera import Camera
 from wibam_core.geometry.ground import intersect_plane
 
@@ -17,6 +22,8 @@ Array = NDArray[np.float64]
 
 #: Bands of horizontal distance from the camera, m.
 ZONES_M = ((0.0, 15.0), (15.0, 30.0), (30.0, 50.0), (50.0, 80.0), (80.0, 200.0))
+#: Points that a sentence names, at most.
+_NAMED_POINTS = 3
 
 
 @dataclass(frozen=True, eq=False)
@@ -32,6 +39,7 @@ class Residuals:
         error_px: (N,) reprojection errors.
         error_m: (N,) distances between each point and where its pixel's ray meets the point's height; NaN where
             it does not.
+        cautions: what is doubtful about it.
     """
 
     kind: str
@@ -41,10 +49,17 @@ class Residuals:
     used: NDArray[np.bool_]
     error_px: Array
     error_m: Array
+    cautions: tuple[Caution, ...] = ()
 
     @classmethod
     def of(
-        cls, kind: str, camera: Camera, world: Array, pixels: Array, used: NDArray[np.bool_] | None = None
+        cls,
+        kind: str,
+        camera: Camera,
+        world: Array,
+        pixels: Array,
+        used: NDArray[np.bool_] | None = None,
+        cautions: Sequence[Caution] = (),
     ) -> Residuals:
         """Measure the errors of points (N, 3) seen at pixels (N, 2)."""
         world, pixels = world.reshape(-1, 3), pixels.reshape(-1, 2)
@@ -58,6 +73,7 @@ class Residuals:
             np.ones(len(world), dtype=bool) if used is None else used,
             np.linalg.norm(projected - pixels, axis=1),
             np.linalg.norm((ground - world)[:, :2], axis=1),
+            tuple(cautions),
         )
 
     @property
@@ -114,6 +130,64 @@ class Residuals:
                 )
             )
         return zones
+
+
+def misfit_problem(residuals: Residuals, max_error_px: float) -> CalibrationError | None:
+    """Why a camera does not fit the points that it was solved from; None where it does.
+
+    Args:
+        residuals: of a camera with points.
+        max_error_px: the largest median reprojection error that passes.
+    """
+    unseen = residuals.used & ~np.isfinite(residuals.error_px)
+    if unseen.any():
+        return CalibrationError(
+            f"{int(unseen.sum())} of {len(unseen)} points come out behind the camera, e.g. "
+            f"{place(residuals.world[unseen][0])}",
+            hint="Check that each pixel belongs to its world point.",
+        )
+    median_px = residuals.median_px
+    if median_px is not None and median_px > max_error_px:
+        return CalibrationError(
+            f"the points are off by {median_px:.1f} px at the median, more than {max_error_px:g} px",
+            hint="Check pixels against world points, units (metres) and the intrinsics; "
+            "or raise calibrate.max_error_px.",
+            median_px=median_px,
+        )
+    return None
+
+
+def fit_cautions(residuals: Residuals) -> list[Caution]:
+    """What is doubtful about the points that a camera rests on."""
+    left_out, found = np.flatnonzero(~residuals.used), []
+    if len(left_out):
+        named = ", ".join(
+            f"{place(residuals.world[row])}" + _off_by(residuals.error_px[row]) for row in left_out[:_NAMED_POINTS]
+        )
+        more = f" and {len(left_out) - _NAMED_POINTS} more" if len(left_out) > _NAMED_POINTS else ""
+        found.append(
+            Caution(
+                code="points_left_out",
+                message=f"{len(left_out)} of {len(residuals.used)} points contradict the others and were left out: "
+                f"{named}{more}",
+                hint="Check their pixels and their coordinates.",
+                details={"points": left_out.tolist()},
+            )
+        )
+    if len(residuals.used) < MIN_POINTS:
+        found.append(
+            Caution(
+                code="few_points",
+                message=f"{len(residuals.used)} points fix the camera, but leave little to check them by",
+                hint=f"Give at least {MIN_POINTS}, well spread: among fewer, a wrong click goes unnoticed.",
+                details={"points": len(residuals.used)},
+            )
+        )
+    return found
+
+
+def _off_by(error_px: float) -> str:
+    return f" by {error_px:.0f} px" if np.isfinite(error_px) else ", which it does not see"
 
 
 def metres_per_pixel(camera: Camera, ground: Array) -> Array:

@@ -3,24 +3,20 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
 
-from wibam_core.calibration.homography import solve_ground_camera
-from wibam_core.calibration.matrices import (
-    GROUND_RANGE_M,
-    build_camera,
-    camera_from_matrices,
-    check_view,
-    visible_ground,
-)
-from wibam_core.calibration.pnp import solve_pose
-from wibam_core.calibration.residuals import Residuals
+from wibam_core.calibration.matrices import camera_from_matrices, intrinsics_cautions
+from wibam_core.calibration.points import check_on_ground, check_points, level_cautions
+from wibam_core.calibration.readings import Reading, Sighting, better_reading
+from wibam_core.calibration.residuals import Residuals, fit_cautions, misfit_problem
+from wibam_core.calibration.view import GROUND_RANGE_M, check_view, view_cautions, visible_ground
 from wibam_core.config import CalibrateConfig
+from wibam_core.documents.warnings import Caution
 from wibam_core.errors import CalibrationError, NoOverlap
 from wibam_core.geometry.camera import Camera
-from wibam_core.geometry.se3 import SE3
 from wibam_core.scene import CameraRig
 from wibam_core.site import Correspondence, MatrixCalibration, PnPCalibration, Site, SiteCamera
 
@@ -28,13 +24,16 @@ Array = NDArray[np.float64]
 
 #: World points of a homography must lie this close to the ground.
 _GROUND_TOLERANCE_M = 0.01
+#: Mean misfits that clicks explain, and that they do not; between them, another reading of the numbers is a warning.
+_GOOD_PX = 1.0
+_BAD_PX = 5.0
 
 
 def calibrate(site: Site, config: CalibrateConfig) -> tuple[CameraRig, dict[str, Residuals]]:
     """Solve every camera of a site.
 
     Returns:
-        the rig, and per camera the residuals of its calibration.
+        the rig, and per camera the residuals of its calibration with what is doubtful about it.
 
     Raises:
         CalibrationError: naming the camera that cannot be solved, or whose median error exceeds the limit.
@@ -43,75 +42,78 @@ def calibrate(site: Site, config: CalibrateConfig) -> tuple[CameraRig, dict[str,
     residuals: dict[str, Residuals] = {}
     for camera in site.cameras:
         try:
-            residuals[camera.id] = solve_camera(camera)
+            residuals[camera.id] = solve_camera(camera, config)
         except CalibrationError as error:
             details = {"camera": camera.id, **error.details}
             raise CalibrationError(f"camera {camera.id}: {error.message}", hint=error.hint, **details) from error
-        _check_finite(camera.id, residuals[camera.id])
-        median = residuals[camera.id].median_px
-        if median is not None and median > config.max_error_px:
-            raise CalibrationError(
-                f"camera {camera.id}: the points are off by {median:.1f} px at the median, more than "
-                f"{config.max_error_px:g} px",
-                hint="Check pixels against world points, units (metres) and the intrinsics; "
-                "or raise calibrate.max_error_px.",
-                camera=camera.id,
-                median_px=median,
-            )
     rig = CameraRig({camera_id: result.camera for camera_id, result in residuals.items()})
     check_overlap(rig)
     return rig, residuals
 
 
-def solve_camera(camera: SiteCamera) -> Residuals:
+def solve_camera(camera: SiteCamera, config: CalibrateConfig) -> Residuals:
     """Solve one camera.
 
     Raises:
-        CalibrationError: if it cannot be solved.
+        CalibrationError: if it cannot be solved, or is none that looks at a road from above.
     """
     given = camera.calibration
     width_px, height_px = camera.width_px, camera.height_px
     if isinstance(given, MatrixCalibration):
         solved = camera_from_matrices(given.K, given.dist, given.rvec, given.tvec, width_px, height_px)
-        return Residuals.of(given.kind, solved, np.zeros((0, 3)), np.zeros((0, 2)))
+        cautions = [*intrinsics_cautions(solved), *view_cautions(solved)]
+        return Residuals.of(given.kind, solved, np.zeros((0, 3)), np.zeros((0, 2)), cautions=cautions)
     world, pixels = _arrays(given.correspondences)
     _check_pixels(pixels, width_px, height_px)
     if isinstance(given, PnPCalibration):
-        intrinsics = build_camera(given.K, given.dist, SE3.identity(), width_px, height_px)
-        fit = solve_pose(world, pixels, intrinsics.K, intrinsics.dist)
-        solved = build_camera(given.K, given.dist, fit.T_world_cam, width_px, height_px)
-        used = fit.used
+        sighting = Sighting(world, pixels, width_px, height_px, np.array(given.K), np.array(given.dist))
     else:
-        if len(world) and np.abs(world[:, 2]).max() > _GROUND_TOLERANCE_M:
-            raise CalibrationError(
-                "calibration kind 'homography' takes points on the ground alone (z = 0)",
-                hint="Leave out raised points, or give the intrinsics and use calibration kind 'pnp'.",
-            )
-        ground = solve_ground_camera(world[:, :2], pixels, width_px, height_px)
-        solved, used = ground.camera, ground.used
-    check_view(solved)
-    return Residuals.of(given.kind, solved, world, pixels, used)
+        check_on_ground(world, _GROUND_TOLERANCE_M)
+        sighting = Sighting(world, pixels, width_px, height_px, None, np.zeros(0))
+    return _solved(given.kind, sighting, config.max_error_px)
 
 
-def _check_finite(camera_id: str, residuals: Residuals) -> None:
-    """Refuse a camera that rests on points it cannot see.
+def _solved(kind: str, sighting: Sighting, max_error_px: float) -> Residuals:
+    """A camera from points.
 
     Raises:
-        CalibrationError: naming the first of them.
+        CalibrationError: there is none, or a doubtful one; with what the numbers more likely mean, where that is clear.
     """
-    unseen = residuals.used & ~np.isfinite(residuals.error_px)
-    if unseen.any():
-        raise CalibrationError(
-            f"camera {camera_id}: {int(unseen.sum())} of {len(unseen)} points come out behind the camera, e.g. "
-            f"{_place(residuals.world[unseen][0])}",
-            hint="Check that each pixel belongs to its world point.",
-            camera=camera_id,
-        )
+    check_points(sighting.world, sighting.pixels)  # what this and the lens say is plain; other readings are not sought
+    if sighting.K is not None:
+        sighting.lens(sighting.K)
+    try:
+        camera, used = sighting.solve()
+    except CalibrationError as error:
+        raise _meant(better_reading(sighting), error) from error
+    levels = level_cautions(sighting.world, float(camera.centre_m[2]))
+    try:
+        check_view(camera)
+    except CalibrationError as error:
+        below = camera.centre_m[2] <= 0  # as good a fit as the view from above, where all points are on the ground
+        raise _meant(better_reading(sighting) if below else None, error) from error
+    residuals = Residuals.of(kind, camera, sighting.world, sighting.pixels, used)
+    misfit_px = sighting.misfit_px(camera)
+    reading = better_reading(sighting, misfit_px) if misfit_px > _GOOD_PX else None
+    problem = misfit_problem(residuals, max_error_px)
+    if problem is not None:
+        raise _meant(reading, problem)
+    if reading is not None and misfit_px > _BAD_PX:
+        raise CalibrationError(reading.meaning, hint=reading.hint, misfit_px=misfit_px)
+    cautions = [*levels, *view_cautions(camera), *fit_cautions(residuals)]
+    if sighting.K is not None:
+        cautions += intrinsics_cautions(camera)
+    if reading is not None:
+        details = {"misfit_px": misfit_px}
+        cautions.append(Caution(code="other_reading", message=reading.meaning, hint=reading.hint, details=details))
+    return replace(residuals, cautions=tuple(cautions))
 
 
-def _place(point: Array) -> str:
-    """A point's coordinates (n,), to the centimetre."""
-    return f"({', '.join(f'{value:.2f}' for value in point)})"
+def _meant(reading: Reading | None, problem: CalibrationError) -> CalibrationError:
+    """A problem with its likely cause, where that is known."""
+    if reading is None:
+        return problem
+    return CalibrationError(f"{reading.meaning} ({problem.message})", hint=reading.hint, **problem.details)
 
 
 def _arrays(correspondences: tuple[Correspondence, ...]) -> tuple[Array, Array]:
@@ -127,7 +129,8 @@ def _check_pixels(pixels: Array, width_px: int, height_px: int) -> None:
         raise CalibrationError(
             f"{int(outside.sum())} of {len(pixels)} pixels lie outside the image of {width_px}x{height_px} px, "
             f"e.g. ({u:.0f}, {v:.0f})",
-            hint="Pixels are those of the recording's size; scale them if they were clicked in a resized picture.",
+            hint="Pixels are u (to the right), v (down) in the recording's size; scale them if they were clicked in a "
+            "resized picture.",
         )
 
 

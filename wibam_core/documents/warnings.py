@@ -19,6 +19,11 @@ class Caution(Document):
     details: dict[str, JsonValue] = Field(default_factory=dict)
     """Facts for programs, such as "camera"."""
 
+    def of_camera(self, camera_id: str) -> Caution:
+        """The same, said of a camera."""
+        details = {"camera": camera_id, **self.details}
+        return self.model_copy(update={"message": f"Camera {camera_id}: {self.message}", "details": details})
+
 
 class StageWarning(Caution):
     """A caution of a stage, as the job, the log, the terminal and the report show it."""

@@ -20,6 +20,8 @@ def run(context: StageContext, config: CalibrateConfig) -> Summary:
     """
     rig, residuals = calibrate(context.site, config)
     document = CalibrationResiduals(cameras={camera_id: result.document() for camera_id, result in residuals.items()})
+    for camera_id, result in residuals.items():
+        context.warn(*(caution.of_camera(camera_id) for caution in result.cautions))
     context.write(RIG, rig)
     context.write(RESIDUALS, document)
     context.progress(1.0)

@@ -59,7 +59,7 @@ def run(context: StageContext, config: PreflightConfig) -> Summary:
     context.write(TIMESTAMPS, times)
     context.write(LIMITS, Limits(min_overlap_s=config.min_overlap_s))
     for camera_id, info in infos.items():
-        context.warn(*_cautions(camera_id, info))
+        context.warn(*(caution.of_camera(camera_id) for caution in _cautions(info)))
     context.progress(1.0)
     return {
         "cameras": {
@@ -101,25 +101,25 @@ def _check_size(camera: SiteCamera, info: VideoInfo) -> None:
     )
 
 
-def _cautions(camera_id: str, info: VideoInfo) -> list[Caution]:
+def _cautions(info: VideoInfo) -> list[Caution]:
     """What a person should know about a recording."""
     found = []
     if info.missing_frames:
         found.append(
             Caution(
                 code="cut_off",
-                message=f"Camera {camera_id}: the file was cut off; its last {info.missing_frames} frames are missing",
+                message=f"the file was cut off; its last {info.missing_frames} frames are missing",
                 hint="Copy the file from the camera again if what is missing matters; the rest is used.",
-                details={"camera": camera_id, "frames": info.missing_frames},
+                details={"frames": info.missing_frames},
             )
         )
     if info.largest_gap_s > _LONGEST_GAP_S:
         found.append(
             Caution(
                 code="recording_gap",
-                message=f"Camera {camera_id}: there is no frame for {info.largest_gap_s:.1f} s",
+                message=f"there is no frame for {info.largest_gap_s:.1f} s",
                 hint="Nothing is seen by this camera meanwhile; look whether the recording was joined from parts.",
-                details={"camera": camera_id, "gap_s": info.largest_gap_s},
+                details={"gap_s": info.largest_gap_s},
             )
         )
     return found

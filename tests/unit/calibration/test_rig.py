@@ -9,9 +9,10 @@ import torch
 from tests.builders import corner_rig, look_at, site_of
 from tests.stage_folders import StageFolders
 from wibam_core.artifacts.catalogue import RESIDUALS, RIG
-from wibam_core.calibration.matrices import build_camera, camera_from_matrices, visible_ground
+from wibam_core.calibration.matrices import build_camera, camera_from_matrices
 from wibam_core.calibration.residuals import Residuals, metres_per_pixel
 from wibam_core.calibration.rig import calibrate, check_overlap
+from wibam_core.calibration.view import visible_ground
 from wibam_core.config import CalibrateConfig
 from wibam_core.errors import CalibrationError, NoOverlap
 from wibam_core.geometry.ground import intersect_plane
