@@ -45,6 +45,15 @@ class OtherViews:
     boxes: Tensor
     cameras: CameraTensors
 
+    def of_vehicles(self, vehicles: Tensor) -> OtherViews:
+        """The pairs of these vehicles (N,) alone, in which each is called by its place among them."""
+        numbers = torch.cat([vehicles, self.vehicle])
+        place_of = torch.full((int(numbers.max()) + 1 if len(numbers) else 0,), -1, device=vehicles.device)
+        place_of[vehicles] = torch.arange(len(vehicles), device=vehicles.device)
+        place = place_of[self.vehicle]
+        paired = place >= 0
+        return OtherViews(place[paired], self.camera[paired], self.boxes[paired], self.cameras)
+
 
 def multiview_loss(boxes: Tensor, views: OtherViews) -> Tensor:
     """Mean over vehicles of the mean over their views of 1 − GIoU between reprojected and given 2D boxes.

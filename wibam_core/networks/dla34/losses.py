@@ -100,13 +100,7 @@ def _bin_loss(rot: Tensor, alpha_rad: Tensor) -> Tensor:
 
 def multiview_part(values: HeadValues, targets: DLA34Targets, others: OtherViews, decode: Decode) -> Tensor:
     """The published loss (Howe et al. 2021, eq. 1) of the boxes at the centres of the vehicles' automatic boxes."""
-    numbers = torch.cat([targets.vehicle, others.vehicle])
-    row_of_vehicle = torch.full((int(numbers.max()) + 1 if len(numbers) else 0,), -1)
-    row_of_vehicle[targets.vehicle] = torch.arange(len(targets.vehicle))
-    row = row_of_vehicle[others.vehicle]
-    seen = row >= 0
-    views = OtherViews(row[seen], others.camera[seen], others.boxes[seen], others.cameras)
-    return multiview_loss(boxes3d(values, targets.cameras, decode), views)
+    return multiview_loss(boxes3d(values, targets.cameras, decode), others.of_vehicles(targets.vehicle))
 
 
 def values_at(heads: Mapping[str, Tensor], targets: DLA34Targets) -> HeadValues:

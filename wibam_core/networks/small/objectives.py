@@ -93,9 +93,4 @@ def _multiview(
     rows = targets.centre.nonzero()[:, 0]
     values = gather(outputs, targets.image[rows], targets.cells[rows], targets.classes[rows])
     boxes = boxes3d(values, targets.cameras, mean_sizes_m, decode)
-    known = torch.cat([targets.vehicle[rows], others.vehicle])
-    row_of_vehicle = torch.full((int(known.max()) + 1 if len(known) else 0,), -1, device=rows.device)
-    row_of_vehicle[targets.vehicle[rows]] = torch.arange(len(rows), device=rows.device)
-    row = row_of_vehicle[others.vehicle]
-    seen = row >= 0
-    return multiview_loss(boxes, OtherViews(row[seen], others.camera[seen], others.boxes[seen], others.cameras))
+    return multiview_loss(boxes, others.of_vehicles(targets.vehicle[rows]))
