@@ -120,18 +120,22 @@ def main() -> None:
     parser.add_argument("--seconds", type=float, default=60.0)
     parser.add_argument("--cameras", type=int, default=4)
     arguments = parser.parse_args()
-    print("seed  true  tracks  HOTA  DetA  AssA  z xy  z yaw  conflicts true/tracked  CPU s tracking/conflicts")
+    print(
+        "seed  true  tracks  HOTA  DetA  AssA  z xy  z yaw  conflicts true/tracked  vehicles  ms/instant  s conflicts"
+    )
     for seed in arguments.seeds:
         traffic = simulate_traffic(make_layout(seed), seed, arguments.seconds, SignalProgram(22.0))
         instants = list(range(0, int(arguments.seconds * 1e9), PERIOD_NS))
         rng = np.random.default_rng(seed)
         angles = np.pi / 4 + np.arange(arguments.cameras) * np.pi / 2
         detectors = [Detector(f"cam{k}", 22 * np.array([np.cos(a), np.sin(a)]), rng) for k, a in enumerate(angles)]
-        start = time.process_time()
-        tracker = Tracker(TrackConfig())
+        seen = []
         for instant in instants:
             exposed = {d.camera_id: max(instant + int(rng.uniform(-3e7, 3e7)), 0) for d in detectors}
-            found = [d.detect(traffic, instant, exposed[d.camera_id]) for d in detectors]
+            seen.append((instant, [d.detect(traffic, instant, exposed[d.camera_id]) for d in detectors], exposed))
+        start = time.process_time()
+        tracker = Tracker(TrackConfig())
+        for instant, found, exposed in seen:
             tracker.step(instant, found, exposed)
         tracks = tracker.tracks()
         tracked = time.process_time()
@@ -141,10 +145,12 @@ def main() -> None:
         compared = time.process_time()
         conflicts = [len(find_conflicts(each, SafetyConfig())) for each in (truth, tracks)]
         done = time.process_time()
+        states = sum(len(track) for track in tracks)
         print(
             f"{seed:4d} {len(truth):5d} {len(tracks):7d}  {score.hota:.2f}  {score.det_a:.2f}  {score.ass_a:.2f}"
             f"  {z[:2].mean():4.2f}  {z[6]:5.2f}  {conflicts[0]:10d}/{conflicts[1]:<11d}"
-            f"  {tracked - start:10.1f}/{(done - compared) / 2:.1f}",
+            f"  {states / len(instants):8.1f}  {1e3 * (tracked - start) / len(instants):10.2f}"
+            f"  {(done - compared) / 2:11.1f}",
             flush=True,
         )
 

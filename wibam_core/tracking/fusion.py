@@ -26,6 +26,40 @@ SD_UNKNOWN = np.array([0.6, 0.6, 0.2, 0.5, 0.2, 0.2, 0.25])
 
 
 @dataclass(frozen=True, eq=False)
+class Detected:
+    """What all cameras detected at one instant, one after the other: N boxes.
+
+    Attributes:
+        boxes: (N, 7). sd: (N, 7), NaN where unknown. scores, classes: (N,), see `Vehicles3D`.
+        cameras: (N,) number of the camera.
+    """
+
+    boxes: Array
+    sd: Array
+    scores: Array
+    classes: Indices
+    cameras: Indices
+
+    @classmethod
+    def of(cls, detections: Sequence[Vehicles3D]) -> Detected:
+        """All of these, one entry per camera."""
+        return cls(
+            np.concatenate([np.empty((0, 7)), *(d.boxes for d in detections)]),
+            np.concatenate([np.empty((0, 7)), *(d.sd for d in detections)]),
+            np.concatenate([np.empty(0), *(d.scores for d in detections)]),
+            np.concatenate([np.empty(0, np.int64), *(d.classes for d in detections)]),
+            np.repeat(np.arange(len(detections)), [len(d) for d in detections]),
+        )
+
+    def where(self, rows: Indices | NDArray[np.bool_]) -> Detected:
+        """The selected boxes."""
+        return Detected(self.boxes[rows], self.sd[rows], self.scores[rows], self.classes[rows], self.cameras[rows])
+
+    def __len__(self) -> int:
+        return len(self.boxes)
+
+
+@dataclass(frozen=True, eq=False)
 class Fused:
     """Vehicles at one instant, seen by one or more cameras each.
 
@@ -46,31 +80,24 @@ class Fused:
         return len(self.boxes)
 
 
-def fuse(detections: Sequence[Vehicles3D], radius_m: float) -> Fused:
+def fuse(detected: Detected, radius_m: float) -> Fused:
     """Cluster detections on the ground, at most one per camera in each cluster, and average each cluster.
 
     Pairs are joined nearest first while every two of a cluster stay within reach (complete linkage). Numbers are
     weighted by score over variance: a near camera knows the place better than a far one.
 
     Args:
-        detections: one entry per camera, all moved to the same instant.
+        detected: by all cameras, all moved to the same instant.
         radius_m: of a cluster, see `ground_distance`.
     """
-    boxes = np.concatenate([np.empty((0, 7)), *(d.boxes for d in detections)])
-    sd = np.concatenate([np.empty((0, 7)), *(d.sd for d in detections)])
-    sd = np.hypot(np.where(np.isfinite(sd), sd, SD_UNKNOWN), SD_FLOOR)
-    scores = np.concatenate([np.empty(0), *(d.scores for d in detections)])
-    classes = np.concatenate([np.empty(0, np.int64), *(d.classes for d in detections)])
-    camera = np.repeat(np.arange(len(detections)), [len(d) for d in detections])
-    clusters = _cluster(boxes, camera, radius_m)
-    merged = [_merge(boxes[rows], sd[rows], scores[rows], classes[rows]) for rows in clusters]
-    return Fused(
-        np.array([m[0] for m in merged]).reshape(-1, 7),
-        np.array([m[1] for m in merged]).reshape(-1, 7),
-        np.array([m[2] for m in merged]).reshape(-1, len(CLASSES)),
-        np.array([m[3] for m in merged]).reshape(-1, 2),
-        np.array([len(rows) for rows in clusters], np.int64),
-    )
+    if not len(detected):
+        return Fused(
+            np.empty((0, 7)), np.empty((0, 7)), np.empty((0, len(CLASSES))), np.empty((0, 2)), np.empty(0, np.int64)
+        )
+    clusters = _cluster(detected.boxes, detected.cameras, radius_m)
+    views = np.array([len(rows) for rows in clusters], np.int64)
+    members = detected.where(np.array([row for rows in clusters for row in rows], np.int64))
+    return _merged(members, views)
 
 
 def ground_distance(a: Array, b: Array) -> Array:
@@ -87,15 +114,17 @@ def ground_distance(a: Array, b: Array) -> Array:
     return np.hypot(along / np.maximum(1.0, length / _REFERENCE_LENGTH_M), across)
 
 
-def _cluster(boxes: Array, camera: Indices, radius_m: float) -> list[list[int]]:
+def _cluster(boxes: Array, cameras: Indices, radius_m: float) -> list[list[int]]:
     distance = ground_distance(boxes, boxes)
     distance = np.minimum(distance, distance.T)
-    allowed = (camera[:, None] != camera) & (distance <= radius_m)
+    allowed = (cameras[:, None] != cameras) & (distance <= radius_m)
     i, j = np.nonzero(np.triu(allowed, 1))
+    order = np.argsort(distance[i, j], kind="stable")
     members: list[list[int]] = [[k] for k in range(len(boxes))]
-    for pair in np.argsort(distance[i, j], kind="stable"):
-        first, second = members[i[pair]], members[j[pair]]
-        if first is second or not allowed[np.ix_(first, second)].all():
+    may_join = allowed.tolist()
+    for a, b in zip(i[order].tolist(), j[order].tolist(), strict=True):
+        first, second = members[a], members[b]
+        if first is second or not all(may_join[one][other] for one in first for other in second):
             continue
         first.extend(second)
         for k in second:
@@ -103,17 +132,31 @@ def _cluster(boxes: Array, camera: Indices, radius_m: float) -> list[list[int]]:
     return [sorted(rows) for k, rows in enumerate(members) if min(rows) == k]
 
 
-def _merge(boxes: Array, sd: Array, scores: Array, classes: Indices) -> tuple[Array, Array, Array, Array]:
+def _merged(members: Detected, views: Indices) -> Fused:
+    """The weighted mean of each of K clusters, the members of which follow each other: views (K,) of each."""
+    starts, of_member = np.cumsum(views) - views, np.repeat(np.arange(len(views)), views)
+    boxes, scores = members.boxes, members.scores
+    sd = np.hypot(np.where(np.isfinite(members.sd), members.sd, SD_UNKNOWN), SD_FLOOR)
     weights = scores[:, None] / sd**2
-    box = (weights * boxes).sum(axis=0) / weights.sum(axis=0)
-    axis = 0.5 * np.arctan2(
-        (weights[:, YAW] * np.sin(2 * boxes[:, YAW])).sum(), (weights[:, YAW] * np.cos(2 * boxes[:, YAW])).sum()
+    yaw, yaw_weights = boxes[:, YAW], weights[:, YAW]
+
+    def total(values: Array) -> Array:
+        return np.add.reduceat(values, starts, axis=0)
+
+    weight = total(weights)
+    axis = 0.5 * np.arctan2(total(yaw_weights * np.sin(2 * yaw)), total(yaw_weights * np.cos(2 * yaw)))
+    forward = np.cos(yaw - axis[of_member]) >= 0
+    headings = np.stack([total(np.where(forward, scores, 0.0)), total(np.where(forward, 0.0, scores))], axis=1)
+    against = headings[:, 1] > headings[:, 0]
+    mean = total(weights * boxes) / weight
+    mean[:, YAW] = normalise_angle(np.where(against, axis + np.pi, axis))
+    spread = np.sqrt(total(scores)[:, None] / np.maximum(weight, 1e-12) / views[:, None])
+    cells = of_member * len(CLASSES) + members.classes
+    votes = np.bincount(cells, weights=scores, minlength=len(views) * len(CLASSES)).astype(np.float64)
+    return Fused(
+        mean,
+        np.maximum(spread, SD_FLOOR),
+        votes.reshape(-1, len(CLASSES)),
+        np.where(against[:, None], headings[:, ::-1], headings),
+        views,
     )
-    forward = np.cos(boxes[:, YAW] - axis) >= 0
-    headings = np.array([scores[forward].sum(), scores[~forward].sum()])
-    if headings[1] > headings[0]:
-        axis, headings = axis + np.pi, headings[::-1]
-    box[YAW] = normalise_angle(axis)
-    spread = np.sqrt(np.sum(scores) / np.maximum(weights.sum(axis=0), 1e-12) / len(scores))
-    votes = np.bincount(classes, weights=scores, minlength=len(CLASSES)).astype(np.float64)
-    return box, np.maximum(spread, SD_FLOOR), votes, headings

@@ -2,41 +2,59 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from itertools import pairwise
-
 import numpy as np
 from numpy.typing import NDArray
 
 from wibam_core.geometry.se3 import normalise_angle
-from wibam_core.tracking.motion import STATES, YAW, Belief, Measurement, MotionModel, update
+from wibam_core.tracking.motion import STATES, YAW, Belief, Measurement, MotionModel, times, transposed, update
+
+Indices = NDArray[np.int64]
 
 
-def smooth(model: MotionModel, times_ns: NDArray[np.int64], measurements: Mapping[int, Measurement]) -> list[Belief]:
-    """Smoothed beliefs at ``times_ns`` (ascending), the first of which was measured.
+def smooth(
+    model: MotionModel, lengths: Indices, times_ns: Indices, measurements: Measurement, measured: NDArray[np.bool_]
+) -> Belief:
+    """Smoothed beliefs of K road users at S instants in all, one road user's after another's.
+
+    All of them advance together, each from its own first instant on.
 
     Args:
-        model: how the road user moves.
-        times_ns: instants; those without a measurement are bridged.
-        measurements: by instant.
+        model: how the K move.
+        lengths: (K,) at how many instants each is to be known; at least 1.
+        times_ns: (S,) instants, ascending for each.
+        measurements: (S,); what they say at instants that were not measured is not looked at.
+        measured: (S,) which instants were; the first of each was, the others are bridged.
     """
-    belief = model.first_belief(measurements[int(times_ns[0])])
-    filtered, predicted, steps = [belief], [belief], [np.eye(STATES)]
-    for before, now in pairwise(times_ns):
-        expected, F = model.predict(belief, float(now - before) * 1e-9)
-        measurement = measurements.get(int(now))
-        belief = expected if measurement is None else update(model, expected, measurement)
-        filtered.append(belief)
-        predicted.append(expected)
-        steps.append(F)
-    smoothed = [filtered[-1]]
-    for k in range(len(filtered) - 2, -1, -1):
-        ahead = predicted[k + 1]
-        gain = np.linalg.solve(ahead.covariance, steps[k + 1] @ filtered[k].covariance).T
-        difference = smoothed[-1].mean - ahead.mean
-        difference[YAW] = normalise_angle(difference[YAW])
-        mean = filtered[k].mean + gain @ difference
-        mean[YAW] = normalise_angle(mean[YAW])
-        covariance = filtered[k].covariance + gain @ (smoothed[-1].covariance - ahead.covariance) @ gain.T
-        smoothed.append(Belief(mean, 0.5 * (covariance + covariance.T)))
-    return smoothed[::-1]
+    order = np.argsort(-lengths, kind="stable")
+    model, first = model.where(order), (np.cumsum(lengths) - lengths)[order]
+    going = np.searchsorted(-lengths[order], -np.arange(lengths.max()))  # how many are longer than so many instants
+    states, predicted = _empty(len(times_ns)), _empty(len(times_ns))
+    steps = np.empty((len(times_ns), STATES, STATES))
+    _put(states, first, model.first_belief(measurements.where(first)))
+    for k, count in enumerate(going[1:], 1):
+        rows, own = first[:count] + k, model.where(slice(count))
+        expected, steps[rows] = own.predict(states.where(rows - 1), (times_ns[rows] - times_ns[rows - 1]) * 1e-9)
+        _put(predicted, rows, expected)
+        _put(states, rows, expected)
+        seen = np.flatnonzero(measured[rows])
+        updated = update(own.where(seen), expected.where(seen), measurements.where(rows[seen]))
+        _put(states, rows[seen], updated)
+    for k in range(len(going) - 1, 0, -1):
+        ahead = first[: going[k]] + k
+        now, expected = states.where(ahead - 1), predicted.where(ahead)
+        gain = transposed(np.linalg.solve(expected.covariance, steps[ahead] @ now.covariance))
+        difference = states.mean[ahead] - expected.mean
+        difference[:, YAW] = normalise_angle(difference[:, YAW])
+        mean = now.mean + times(gain, difference)
+        mean[:, YAW] = normalise_angle(mean[:, YAW])
+        covariance = now.covariance + gain @ (states.covariance[ahead] - expected.covariance) @ transposed(gain)
+        _put(states, ahead - 1, Belief(mean, 0.5 * (covariance + transposed(covariance))))
+    return states
+
+
+def _empty(count: int) -> Belief:
+    return Belief(np.empty((count, STATES)), np.empty((count, STATES, STATES)))
+
+
+def _put(beliefs: Belief, rows: Indices, values: Belief) -> None:
+    beliefs.mean[rows], beliefs.covariance[rows] = values.mean, values.covariance

@@ -3,23 +3,24 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import linear_sum_assignment
 
 from wibam_core.config import TrackConfig
-from wibam_core.geometry.box3d import LENGTH, POSE, SIZE, XY, XYZ, YAW
+from wibam_core.geometry.box3d import LENGTH, POSE, SIZE, XY
 from wibam_core.geometry.iou import bev_iou
 from wibam_core.road_users import CLASSES
 from wibam_core.scene import Track, Vehicles3D
-from wibam_core.tracking.fusion import Fused, fuse, ground_distance
+from wibam_core.tracking.fusion import Detected, Fused, fuse, ground_distance
 from wibam_core.tracking.models import model_of
-from wibam_core.tracking.motion import Belief, Measurement, MotionModel, innovation, update
-from wibam_core.tracking.trajectory import Hit, to_track
+from wibam_core.tracking.motion import STATES, Belief, Measurement, MotionModel, innovation, squared_distance, update
+from wibam_core.tracking.trajectory import Hit, to_tracks
 
 Array = NDArray[np.float64]
+Indices = NDArray[np.int64]
 
 #: A measurement farther off (squared Mahalanobis distance of centre and yaw) is no candidate: 99.9 % of χ² with 3
 #: degrees of freedom, doubled because the model is not the vehicle.
@@ -28,24 +29,95 @@ _MAX_DISTANCE = 32.0
 _DUPLICATE_IOU = 0.1
 #: A new vehicle's speed is not known, so that it may be sought far away: its standard deviation counts as this at most.
 _MAX_SPEED_SD = 10.0
+#: A tracked road user is as large as the median of so many of its latest boxes.
+_LATEST_SIZES = 15
 
 
-@dataclass(eq=False)
-class _Candidate:
-    """A road user being tracked, of the class that most of what was seen of it votes for."""
+@dataclass(frozen=True, eq=False)
+class _Candidates:
+    """C road users being tracked, each of the class that most of what was seen of it votes for.
+
+    Attributes:
+        belief: about each when it was seen last. times_ns: (C,) when that was.
+        boxes: (C, 7) then, of the size that it has.
+        votes: (C, classes). sizes: (C, _LATEST_SIZES, 3) of its latest boxes, infinite where there were fewer.
+        hits: all that was seen of each.
+    """
 
     belief: Belief
-    time_ns: int
-    box: Array
+    times_ns: Indices
+    boxes: Array
     votes: Array
-    hits: list[Hit] = field(default_factory=list)
+    sizes: Array
+    hits: tuple[list[Hit], ...]
+
+    @classmethod
+    def none(cls) -> _Candidates:
+        return cls(
+            Belief(np.empty((0, STATES)), np.empty((0, STATES, STATES))),
+            np.empty(0, np.int64),
+            np.empty((0, 7)),
+            np.empty((0, len(CLASSES))),
+            np.empty((0, _LATEST_SIZES, 3)),
+            (),
+        )
+
+    @classmethod
+    def first_seen(cls, time_ns: int, fused: Fused, columns: Indices) -> _Candidates:
+        boxes, votes = fused.boxes[columns], fused.votes[columns]
+        sizes = np.full((len(columns), _LATEST_SIZES, 3), np.inf)
+        sizes[:, 0] = boxes[:, SIZE]
+        return cls(
+            model_of(votes.argmax(axis=1), boxes[:, LENGTH]).first_belief(_measurements(fused, columns)),
+            np.full(len(columns), time_ns),
+            boxes,
+            votes,
+            sizes,
+            tuple([_hit(time_ns, fused, column)] for column in columns.tolist()),
+        )
 
     @property
     def model(self) -> MotionModel:
-        return model_of(CLASSES[int(np.argmax(self.votes))], float(self.box[LENGTH]))
+        return model_of(self.votes.argmax(axis=1), self.boxes[:, LENGTH])
 
-    def at(self, time_ns: int) -> Belief:
-        return self.model.predict(self.belief, (time_ns - self.time_ns) * 1e-9)[0]
+    @property
+    def seen(self) -> Indices:
+        """(C,) how often each was seen."""
+        return np.array([len(hits) for hits in self.hits], np.int64)
+
+    def where(self, keep: NDArray[np.bool_]) -> _Candidates:
+        return _Candidates(
+            self.belief.where(keep),
+            self.times_ns[keep],
+            self.boxes[keep],
+            self.votes[keep],
+            self.sizes[keep],
+            tuple(hits for hits, kept in zip(self.hits, keep, strict=True) if kept),
+        )
+
+    def with_more(self, more: _Candidates) -> _Candidates:
+        return _Candidates(
+            Belief(
+                np.concatenate([self.belief.mean, more.belief.mean]),
+                np.concatenate([self.belief.covariance, more.belief.covariance]),
+            ),
+            np.concatenate([self.times_ns, more.times_ns]),
+            np.concatenate([self.boxes, more.boxes]),
+            np.concatenate([self.votes, more.votes]),
+            np.concatenate([self.sizes, more.sizes]),
+            self.hits + more.hits,
+        )
+
+    def see(self, rows: Indices, belief: Belief, time_ns: int, fused: Fused, columns: Indices) -> None:
+        """Candidates ``rows`` were seen as the fused boxes ``columns``, after which this is believed of them."""
+        self.belief.mean[rows], self.belief.covariance[rows] = belief.mean, belief.covariance
+        self.times_ns[rows] = time_ns
+        self.votes[rows] += fused.votes[columns]
+        self.sizes[rows, self.seen[rows] % _LATEST_SIZES] = fused.boxes[columns, SIZE]
+        for row, column in zip(rows.tolist(), columns.tolist(), strict=True):
+            self.hits[row].append(_hit(time_ns, fused, column))
+        self.boxes[rows] = fused.boxes[columns]
+        self.boxes[rows, SIZE] = _medians(self.sizes[rows], np.minimum(self.seen[rows], _LATEST_SIZES))
 
 
 class Tracker:
@@ -57,8 +129,8 @@ class Tracker:
 
     def __init__(self, config: TrackConfig) -> None:
         self._config = config
-        self._active: list[_Candidate] = []
-        self._ended: list[_Candidate] = []
+        self._active = _Candidates.none()
+        self._ended: list[list[Hit]] = []
         self._instants: list[int] = []
 
     def step(
@@ -74,15 +146,25 @@ class Tracker:
         """
         self._instants.append(time_ns)
         self._end_unseen(time_ns)
-        expected = [candidate.at(time_ns) for candidate in self._active]
-        most_m = self._config.max_place_sd_m
-        certain = [found.where(np.flatnonzero(~(found.sd[:, XY] > most_m).any(axis=1))) for found in detections]
-        moved = [self._move(found, time_ns, frame_times_ns or {}, expected) for found in certain]
+        model = self._active.model
+        hidden_s = np.asarray((time_ns - self._active.times_ns) * 1e-9, np.float64)
+        expected, _ = model.predict(self._active.belief, hidden_s)
+        places = self._active.boxes.copy()
+        places[:, POSE] = model.centre(expected.mean)[0]
+
+        exposed = frame_times_ns or {}
+        late_s = np.array([(time_ns - exposed.get(str(found.camera_id), time_ns)) * 1e-9 for found in detections])
+        detected = Detected.of(detections)
+        uncertain = detected.sd[:, XY] > self._config.max_place_sd_m
+        detected = detected.where(np.flatnonzero(~uncertain.any(axis=1)))
+        moved = self._moved(detected, late_s[detected.cameras], places, model.travel(expected.mean)[0])
         fused = fuse(moved, self._config.fusion_radius_m)
-        assigned = self._assign(time_ns, fused, expected)
-        for row, column in assigned.items():
-            self._update(self._active[row], expected[row], time_ns, fused, column)
-        self._begin(time_ns, fused, set(assigned.values()))
+
+        cost = self._costs(fused, model, expected, places, hidden_s)
+        rows, columns = self._assigned(cost)
+        updated = update(model.where(rows), expected.where(rows), _measurements(fused, columns))
+        self._active.see(rows, updated, time_ns, fused, columns)
+        self._begin(time_ns, fused, columns)
 
     def tracks(self) -> list[Track]:
         """All tracks that were seen often enough, smoothed, numbered from 0 in the order of their first instant.
@@ -90,103 +172,95 @@ class Tracker:
         Each has a state at every instant from its first to its last detection.
         """
         instants = np.array(self._instants, np.int64)
-        kept = [c for c in (*self._ended, *self._active) if self._is_proven(c, instants)]
-        kept.sort(key=lambda c: (c.hits[0].time_ns, tuple(c.hits[0].box)))
-        return [to_track(number, candidate.hits, instants) for number, candidate in enumerate(kept)]
+        kept = [hits for hits in (*self._ended, *self._active.hits) if self._is_proven(hits, instants)]
+        kept.sort(key=lambda hits: (hits[0].time_ns, tuple(hits[0].box)))
+        return to_tracks(kept, instants)
 
-    def _is_proven(self, candidate: _Candidate, instants: NDArray[np.int64]) -> bool:
-        hits = candidate.hits
+    def _is_proven(self, hits: Sequence[Hit], instants: Indices) -> bool:
         lasted = np.searchsorted(instants, hits[-1].time_ns) - np.searchsorted(instants, hits[0].time_ns) + 1
         return len(hits) >= max(self._config.min_hits, self._config.min_seen_share * int(lasted))
 
     # --- one instant --------------------------------------------------------------------------
     def _end_unseen(self, time_ns: int) -> None:
-        unseen = [time_ns - c.hits[-1].time_ns > self._config.max_coast_s * 1e9 for c in self._active]
-        self._ended += [c for c, gone in zip(self._active, unseen, strict=True) if gone]
-        self._active = [c for c, gone in zip(self._active, unseen, strict=True) if not gone]
+        unseen = time_ns - self._active.times_ns > self._config.max_coast_s * 1e9
+        if unseen.any():
+            self._ended += self._active.where(unseen).hits
+            self._active = self._active.where(~unseen)
 
-    def _move(
-        self, found: Vehicles3D, time_ns: int, frame_times_ns: Mapping[str, int], expected: Sequence[Belief]
-    ) -> Vehicles3D:
-        """Detections as they would be at the instant, where the vehicle's speed is known."""
-        late_s = (time_ns - frame_times_ns.get(str(found.camera_id), time_ns)) * 1e-9
-        if late_s == 0 or not len(found) or not expected:
-            return replace(found, time_ns=time_ns)
-        boxes = found.boxes.copy()
-        distance = ground_distance(boxes, self._expected_boxes(expected))
+    def _moved(self, detected: Detected, late_s: Array, places: Array, velocities: Array) -> Detected:
+        """Detections as they would be at the instant, ``late_s`` (N,) later, where the vehicle's speed is known.
+
+        The candidates, of which these are the boxes (C, 7) and velocities (C, 2), say how fast it is.
+        """
+        if not len(detected) or not len(places):
+            return detected
+        distance = ground_distance(detected.boxes, places)
         nearest = distance.argmin(axis=1)
-        for row, column in enumerate(nearest):
-            mean = expected[column].mean
-            if distance[row, column] <= self._config.gate_m and len(self._active[column].hits) > 1:
-                boxes[row, XY] += late_s * self._active[column].model.travel(mean)[0]
-        return replace(found, time_ns=time_ns, boxes=boxes)
+        known = (distance[np.arange(len(nearest)), nearest] <= self._config.gate_m) & (self._active.seen[nearest] > 1)
+        boxes = detected.boxes.copy()
+        boxes[known, XY] += late_s[known, None] * velocities[nearest[known]]
+        return replace(detected, boxes=boxes)
 
-    def _expected_boxes(self, expected: Sequence[Belief]) -> Array:
-        boxes = np.array([c.box for c in self._active]).reshape(-1, 7)
-        for row, (candidate, belief) in enumerate(zip(self._active, expected, strict=True)):
-            boxes[row, POSE] = candidate.model.centre(belief)[0]
-        return boxes
+    def _costs(self, fused: Fused, model: MotionModel, expected: Belief, places: Array, hidden_s: Array) -> Array:
+        """(C, K) what it costs to take each fused box for each candidate, infinite where it is none."""
+        gates = self._config.gate_m + hidden_s * np.minimum(model.speed_sd(expected), _MAX_SPEED_SD)
+        near = ground_distance(places, fused.boxes) <= gates[:, None]
+        rows, columns = np.nonzero(near)
+        difference, S, _ = innovation(model.where(rows), expected.where(rows), _measurements(fused, columns))
+        distance = squared_distance(difference, S)
+        cost = np.full(near.shape, np.inf)
+        cost[rows, columns] = np.where(distance <= _MAX_DISTANCE, distance + np.log(np.linalg.det(S)), np.inf)
+        return cost
 
-    def _assign(self, time_ns: int, fused: Fused, expected: Sequence[Belief]) -> dict[int, int]:
-        """Candidate -> fused box. Candidates that have proved themselves choose first."""
-        if not len(fused) or not expected:
-            return {}
-        cost = np.full((len(expected), len(fused)), np.inf)
-        ground = ground_distance(self._expected_boxes(expected), fused.boxes)
-        for row, (candidate, belief) in enumerate(zip(self._active, expected, strict=True)):
-            model = candidate.model
-            dt_s = (time_ns - candidate.time_ns) * 1e-9
-            gate = self._config.gate_m + dt_s * min(model.speed_sd(belief), _MAX_SPEED_SD)
-            for column in np.flatnonzero(ground[row] <= gate):
-                difference, S, _ = innovation(model, belief, _measurement(time_ns, fused, int(column)))
-                distance = float(difference @ np.linalg.solve(S, difference))
-                if distance <= _MAX_DISTANCE:
-                    cost[row, column] = distance + float(np.log(np.linalg.det(S)))
-        proven = np.array([len(c.hits) >= min(3, self._config.min_hits) for c in self._active])
-        assigned: dict[int, int] = {}
+    def _assigned(self, cost: Array) -> tuple[Indices, Indices]:
+        """Candidates and the fused box of each. Candidates that have proved themselves choose first."""
+        proven = self._active.seen >= min(3, self._config.min_hits)
+        free = np.arange(cost.shape[1])
+        pairs = []
         for group in (np.flatnonzero(proven), np.flatnonzero(~proven)):
-            free = np.setdiff1d(np.arange(len(fused)), list(assigned.values()))
-            for i, j in _cheapest(cost[np.ix_(group, free)]):
-                assigned[int(group[i])] = int(free[j])
-        return assigned
+            i, j = _cheapest(cost[np.ix_(group, free)])
+            pairs.append((group[i], free[j]))
+            free = np.delete(free, j)
+        rows, columns = (np.concatenate(of) for of in zip(*pairs, strict=True))
+        return rows, columns
 
-    def _update(self, candidate: _Candidate, expected: Belief, time_ns: int, fused: Fused, column: int) -> None:
-        candidate.belief = update(candidate.model, expected, _measurement(time_ns, fused, column))
-        candidate.time_ns = time_ns
-        candidate.hits.append(_hit(time_ns, fused, column))
-        candidate.votes = candidate.votes + fused.votes[column]
-        sizes = np.array([hit.box[SIZE] for hit in candidate.hits[-15:]])
-        candidate.box = np.concatenate(
-            [fused.boxes[column, XYZ], np.median(sizes, axis=0), fused.boxes[column, YAW, None]]
-        )
-
-    def _begin(self, time_ns: int, fused: Fused, taken: set[int]) -> None:
-        known = [c for c in self._active if c.time_ns == time_ns]
-        present = np.array([c.box for c in known]).reshape(-1, 7)
-        for column in range(len(fused)):
-            box = fused.boxes[column]
-            if column in taken or (bev_iou(box[None], present) > _DUPLICATE_IOU).any():
-                continue
-            present = np.concatenate([present, box[None]])
-            road_user = CLASSES[int(np.argmax(fused.votes[column]))]
-            belief = model_of(road_user, float(box[LENGTH])).first_belief(_measurement(time_ns, fused, column))
-            self._active.append(_Candidate(belief, time_ns, box, fused.votes[column], [_hit(time_ns, fused, column)]))
+    def _begin(self, time_ns: int, fused: Fused, taken: Indices) -> None:
+        """Fused boxes that are no candidate's become new ones, but for second boxes of the same vehicle."""
+        free = np.delete(np.arange(len(fused)), taken)
+        boxes = fused.boxes[free]
+        present = self._active.boxes[self._active.times_ns == time_ns]
+        apart = ~(bev_iou(boxes, present) > _DUPLICATE_IOU).any(axis=1)
+        same = bev_iou(boxes, boxes) > _DUPLICATE_IOU
+        begun: list[int] = []
+        for column in np.flatnonzero(apart).tolist():
+            if not same[column, begun].any():
+                begun.append(column)
+        if begun:
+            self._active = self._active.with_more(_Candidates.first_seen(time_ns, fused, free[begun]))
 
 
-def _measurement(time_ns: int, fused: Fused, column: int) -> Measurement:
-    return Measurement(time_ns, fused.boxes[column, POSE], fused.sd[column, POSE])
+def _measurements(fused: Fused, columns: Indices) -> Measurement:
+    return Measurement(fused.boxes[columns][:, POSE], fused.sd[columns][:, POSE])
 
 
 def _hit(time_ns: int, fused: Fused, column: int) -> Hit:
     return Hit(time_ns, fused.boxes[column], fused.sd[column], fused.votes[column], fused.headings[column])
 
 
-def _cheapest(cost: Array) -> list[tuple[int, int]]:
-    """Pairs with finite cost: the most of them, and of those the cheapest."""
+def _medians(values: Array, counts: Indices) -> Array:
+    """Medians (N, D) of the finite ones of values (N, M, D), which are counts (N,) of M; the others are infinite."""
+    ascending = np.sort(values, axis=1)
+    rows = np.arange(len(values))
+    return 0.5 * (ascending[rows, (counts - 1) // 2] + ascending[rows, counts // 2])
+
+
+def _cheapest(cost: Array) -> tuple[Indices, Indices]:
+    """Rows and columns of pairs with finite cost: the most of them, and of those the cheapest."""
     valid = np.isfinite(cost)
     if not valid.any():
-        return []
+        return np.empty(0, np.int64), np.empty(0, np.int64)
     low = cost[valid].min()
     forbidden = 1.0 + 2.0 * float((cost[valid] - low + 1.0).sum())
     rows, columns = linear_sum_assignment(np.where(valid, cost - low + 1.0, forbidden))
-    return [(int(r), int(c)) for r, c in zip(rows, columns, strict=True) if valid[r, c]]
+    good = valid[rows, columns]
+    return rows[good], columns[good]

@@ -1,4 +1,4 @@
-"""From the boxes that belong to one vehicle to its smooth 7DoF track."""
+"""From the boxes that belong to each vehicle to its smooth 7DoF track."""
 
 from __future__ import annotations
 
@@ -8,17 +8,18 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from wibam_core.geometry.box3d import POSE, SIZE, YAW, Z
+from wibam_core.geometry.box3d import POSE, SIZE, XY, YAW, Z
 from wibam_core.geometry.se3 import normalise_angle
 from wibam_core.road_users import CLASSES
 from wibam_core.scene import Track
 from wibam_core.tracking.fusion import SD_FLOOR
 from wibam_core.tracking.models import model_of
 from wibam_core.tracking.motion import YAW as STATE_YAW
-from wibam_core.tracking.motion import Belief, Measurement, MotionModel
+from wibam_core.tracking.motion import Measurement, transposed
 from wibam_core.tracking.smoother import smooth
 
 Array = NDArray[np.float64]
+Indices = NDArray[np.int64]
 
 #: A vehicle that drove at least this far shows by its motion where its front is.
 _MIN_DRIVEN_M = 2.0
@@ -26,6 +27,8 @@ _MIN_DRIVEN_M = 2.0
 #: half of their variance persists, the smoother's variances are too small by about this factor
 #: (benchmarks/tracking.py).
 _CORRELATION = 3.0
+#: So many vehicles are smoothed together; all that is known of their states at every instant is in memory meanwhile.
+_TOGETHER = 64
 
 
 @dataclass(frozen=True, eq=False)
@@ -43,33 +46,73 @@ class Hit:
     headings: Array
 
 
-def to_track(track_id: int, hits: Sequence[Hit], instants: NDArray[np.int64]) -> Track:
-    """Smooth one vehicle's boxes (in time order), with a state at each of the instants from the first to the last box.
+def to_tracks(vehicles: Sequence[Sequence[Hit]], instants: Indices) -> list[Track]:
+    """Smooth each vehicle's boxes (in time order), with a state at each of the instants from its first to its last box.
 
-    It has one size, the weighted median over time, and stands on the ground. Its front is where its motion says; for
-    one that hardly moved, where most views saw it.
+    A vehicle has one size, the weighted median over time, and stands on the ground. Its front is where its motion says;
+    for one that hardly moved, where most views saw it. Tracks are numbered in the order of the vehicles.
     """
-    size, size_sd = _size(hits)
-    road_user = CLASSES[int(np.argmax(np.sum([hit.votes for hit in hits], axis=0)))]
-    model = model_of(road_user, float(size[0]))
-    times = instants[(instants >= hits[0].time_ns) & (instants <= hits[-1].time_ns)]
-    measured = {hit.time_ns: Measurement(hit.time_ns, hit.box[POSE], hit.sd[POSE]) for hit in hits}
-    beliefs = smooth(model, times, measured)
-    if _is_reversed(model, beliefs, times, hits):
-        first = measured[int(times[0])]
-        turned = np.array([*first.value[:2], beliefs[0].mean[STATE_YAW] + np.pi])
-        beliefs = smooth(model, times, {**measured, first.time_ns: Measurement(first.time_ns, turned, first.sd)})
-    n = len(times)
-    boxes, sd = np.empty((n, 7)), np.empty((n, 7))
-    velocities, yaw_rates = np.empty((n, 2)), np.empty(n)
-    for k, belief in enumerate(beliefs):
-        place, H = model.centre(belief)
-        covariance = H @ belief.covariance @ H.T
-        boxes[k] = [place[0], place[1], size[2] / 2, *size, normalise_angle(place[2])]
-        sd[k, POSE] = np.sqrt(_CORRELATION * np.maximum(np.diag(covariance), 0.0))
-        velocities[k], yaw_rates[k] = model.velocity(belief.mean)
-    sd[:, Z], sd[:, SIZE] = size_sd[2] / 2, size_sd
-    return Track(track_id, road_user, times, boxes, np.maximum(sd, SD_FLOOR / 3), velocities, yaw_rates)
+    return [
+        track
+        for first in range(0, len(vehicles), _TOGETHER)
+        for track in _smoothed(first, vehicles[first : first + _TOGETHER], instants)
+    ]
+
+
+def _smoothed(first_id: int, vehicles: Sequence[Sequence[Hit]], instants: Indices) -> list[Track]:
+    size, size_sd = (np.array(of) for of in zip(*(_size(hits) for hits in vehicles), strict=True))
+    classes = np.array([np.sum([hit.votes for hit in hits], axis=0).argmax() for hits in vehicles])
+    model = model_of(classes, size[:, 0])
+    begin = np.searchsorted(instants, [hits[0].time_ns for hits in vehicles])
+    lengths = np.searchsorted(instants, [hits[-1].time_ns for hits in vehicles], side="right") - begin
+    of_state = np.repeat(np.arange(len(vehicles)), lengths)
+    start = np.cumsum(lengths) - lengths
+    times_ns = instants[np.arange(len(of_state)) + (begin - start)[of_state]]
+
+    measured, value, sd = np.zeros(len(of_state), bool), np.zeros((len(of_state), 3)), np.ones((len(of_state), 3))
+    for at, since, hits in zip(start, begin, vehicles, strict=True):
+        rows = at - since + np.searchsorted(instants, [hit.time_ns for hit in hits])
+        measured[rows] = True
+        value[rows] = np.array([hit.box for hit in hits])[:, POSE]
+        sd[rows] = np.array([hit.sd for hit in hits])[:, POSE]
+    measurements = Measurement(value, sd)
+    beliefs = smooth(model, lengths, times_ns, measurements, measured)
+    states = [slice(at, at + length) for at, length in zip(start, lengths, strict=True)]
+    travelled = model.where(of_state).travel(beliefs.mean)[1]
+    turned = np.array(
+        [
+            _is_reversed(travelled[own], beliefs.mean[own, STATE_YAW], times_ns[own], hits)
+            for own, hits in zip(states, vehicles, strict=True)
+        ]
+    )
+    if turned.any():
+        value[start[turned], STATE_YAW] = beliefs.mean[start[turned], STATE_YAW] + np.pi
+        rows = np.flatnonzero(turned[of_state])
+        again = smooth(model.where(turned), lengths[turned], times_ns[rows], measurements.where(rows), measured[rows])
+        beliefs.mean[rows], beliefs.covariance[rows] = again.mean, again.covariance
+
+    every = model.where(of_state)
+    place, H = every.centre(beliefs.mean)
+    variances = np.diagonal(H @ beliefs.covariance @ transposed(H), axis1=1, axis2=2)
+    boxes, sd = np.empty((len(of_state), 7)), np.empty((len(of_state), 7))
+    boxes[:, XY], boxes[:, YAW] = place[:, :STATE_YAW], normalise_angle(place[:, STATE_YAW])
+    boxes[:, SIZE], boxes[:, Z] = size[of_state], size[of_state, 2] / 2
+    sd[:, POSE] = np.sqrt(_CORRELATION * np.maximum(variances, 0.0))
+    sd[:, SIZE], sd[:, Z] = size_sd[of_state], size_sd[of_state, 2] / 2
+    sd = np.maximum(sd, SD_FLOOR / 3)
+    velocities, yaw_rates = every.velocity(beliefs.mean)
+    return [
+        Track(
+            first_id + number,
+            CLASSES[classes[number]],
+            times_ns[own],
+            boxes[own],
+            sd[own],
+            velocities[own],
+            yaw_rates[own],
+        )
+        for number, own in enumerate(states)
+    ]
 
 
 def _size(hits: Sequence[Hit]) -> tuple[Array, Array]:
@@ -84,15 +127,12 @@ def _size(hits: Sequence[Hit]) -> tuple[Array, Array]:
     return median, np.hypot(spread / np.sqrt(len(hits)), SD_FLOOR[SIZE])
 
 
-def _is_reversed(model: MotionModel, beliefs: Sequence[Belief], times: NDArray[np.int64], hits: Sequence[Hit]) -> bool:
-    """Whether the smoothed yaw points to the vehicle's rear."""
-    speeds = np.array([model.travel(belief.mean)[1] for belief in beliefs])
-    driven = float(np.sum(0.5 * (speeds[1:] + speeds[:-1]) * np.diff(times) * 1e-9))
+def _is_reversed(speeds: Array, yaws: Array, times_ns: Indices, hits: Sequence[Hit]) -> bool:
+    """Whether the smoothed yaws (T,) of a vehicle, which has these speeds (T,) along them, point to its rear."""
+    driven = float(np.sum(0.5 * (speeds[1:] + speeds[:-1]) * np.diff(times_ns) * 1e-9))
     if abs(driven) >= _MIN_DRIVEN_M:
         return driven < 0
-    along = 0.0
-    yaws = dict(zip(times.tolist(), (belief.mean[STATE_YAW] for belief in beliefs), strict=True))
-    for hit in hits:
-        agrees = np.cos(hit.box[YAW] - yaws[hit.time_ns]) >= 0
-        along += float(hit.headings[0] - hit.headings[1]) * (1.0 if agrees else -1.0)
-    return along < 0
+    seen = np.searchsorted(times_ns, [hit.time_ns for hit in hits])
+    agrees = np.cos(np.array([hit.box[YAW] for hit in hits]) - yaws[seen]) >= 0
+    headings = np.array([hit.headings for hit in hits])
+    return float(((headings[:, 0] - headings[:, 1]) * np.where(agrees, 1.0, -1.0)).sum()) < 0

@@ -6,7 +6,8 @@ import pytest
 from wibam_core.geometry.se3 import normalise_angle
 from wibam_core.road_users import RoadUserClass
 from wibam_core.scene import Vehicles3D
-from wibam_core.tracking.fusion import fuse
+from wibam_core.tracking.fusion import Detected, Fused
+from wibam_core.tracking.fusion import fuse as fuse_detected
 
 
 def seen(*rows: tuple[float, float, float], sd: float | None = None, scores: list[float] | None = None,
@@ -17,6 +18,10 @@ def seen(*rows: tuple[float, float, float], sd: float | None = None, scores: lis
         0, boxes, np.full(n, cls), scores=None if scores is None else np.array(scores),
         sd=None if sd is None else np.full((n, 7), sd),
     )  # fmt: skip
+
+
+def fuse(detections: list[Vehicles3D], radius_m: float) -> Fused:
+    return fuse_detected(Detected.of(detections), radius_m)
 
 
 def test_views_of_one_vehicle_become_one_box() -> None:

@@ -11,6 +11,7 @@ from wibam_core.geometry.se3 import normalise_angle
 from wibam_core.road_users import CLASSES, RoadUserClass
 from wibam_core.tracking.models import model_of
 from wibam_core.tracking.motion import STATES, YAW, Belief, Measurement, MotionModel, update
+from wibam_core.tracking.smoother import smooth
 
 ROAD_USERS = st.sampled_from(CLASSES)
 STATE = st.tuples(
@@ -20,7 +21,7 @@ STEP_S = st.floats(0.02, 1.0)
 
 
 def usual(road_user: RoadUserClass) -> MotionModel:
-    return model_of(road_user, road_user.traits.size.size_m[0])
+    return model_of(CLASSES.index(road_user), road_user.traits.size.size_m[0])
 
 
 def certain(mean: np.ndarray) -> Belief:
@@ -46,10 +47,10 @@ def test_the_jacobian_of_a_step_is_its_derivative(road_user: RoadUserClass, mean
 @given(ROAD_USERS, STATE)
 def test_the_jacobian_of_the_centre_is_its_derivative(road_user: RoadUserClass, mean: np.ndarray) -> None:
     model = usual(road_user)
-    jacobian = model.centre(certain(mean))[1]
+    jacobian = model.centre(mean)[1]
     for k in range(STATES):
         step = 1e-5 * np.eye(STATES)[k]
-        ahead, back = (model.centre(certain(mean + sign * step))[0] for sign in (1, -1))
+        ahead, back = (model.centre(mean + sign * step)[0] for sign in (1, -1))
         np.testing.assert_allclose(jacobian[:, k], (ahead - back) / 2e-5, atol=1e-4)
 
 
@@ -58,7 +59,7 @@ def test_the_velocity_is_what_a_short_step_moves_the_centre_by(road_user: RoadUs
     model = usual(road_user)
     velocity, yaw_rate = model.velocity(mean)
     dt_s = 1e-5
-    moved = (model.centre(model.predict(certain(mean), dt_s)[0])[0] - model.centre(certain(mean))[0]) / dt_s
+    moved = (model.centre(model.predict(certain(mean), dt_s)[0].mean)[0] - model.centre(mean)[0]) / dt_s
     np.testing.assert_allclose(velocity, moved[:2], atol=0.01)
     assert yaw_rate == pytest.approx(moved[2], abs=0.01)
 
@@ -68,10 +69,50 @@ def test_uncertainty_grows_with_time_and_shrinks_with_a_measurement(
     road_user: RoadUserClass, mean: np.ndarray, dt_s: float
 ) -> None:
     model = usual(road_user)
-    first = model.first_belief(Measurement(0, mean[:3], np.array([0.3, 0.3, 0.1])))
-    np.testing.assert_allclose(model.centre(first)[0], mean[:3], atol=1e-9)
+    first = model.first_belief(Measurement(mean[:3], np.array([0.3, 0.3, 0.1])))
+    np.testing.assert_allclose(model.centre(first.mean)[0], mean[:3], atol=1e-9)
     later = model.predict(first, dt_s)[0]
     assert np.linalg.eigvalsh(later.covariance).min() > 0
     assert np.trace(later.covariance[:2, :2]) > np.trace(first.covariance[:2, :2])
-    seen = update(model, later, Measurement(1, model.centre(later)[0], np.array([0.3, 0.3, 0.1])))
+    seen = update(model, later, Measurement(model.centre(later.mean)[0], np.array([0.3, 0.3, 0.1])))
     assert np.trace(seen.covariance[:2, :2]) < np.trace(later.covariance[:2, :2])
+
+
+def test_many_move_as_each_would_alone() -> None:
+    rng = np.random.default_rng(0)
+    lengths = np.array([1, 7, 3, 12, 7])
+    model = model_of(rng.integers(0, len(CLASSES), 5), rng.uniform(3, 12, 5))
+    of_state = np.repeat(np.arange(5), lengths)
+    first = np.cumsum(lengths) - lengths
+    times_ns = np.cumsum(rng.integers(50_000_000, 400_000_000, len(of_state)))
+    value = rng.normal(size=(len(of_state), 3)) + times_ns[:, None] * 1e-9
+    measurements = Measurement(value, rng.uniform(0.1, 0.5, (len(of_state), 3)))
+    measured = rng.random(len(of_state)) < 0.6
+    measured[first] = True
+    together = smooth(model, lengths, times_ns, measurements, measured)
+    for number in range(5):
+        own = np.flatnonzero(of_state == number)
+        alone = smooth(
+            model.where(np.array([number])), lengths[[number]], times_ns[own], measurements.where(own), measured[own]
+        )
+        np.testing.assert_allclose(together.mean[own], alone.mean, atol=1e-12)
+        np.testing.assert_allclose(together.covariance[own], alone.covariance, atol=1e-12)
+
+
+@given(ROAD_USERS, STATE, STEP_S)
+def test_smoothing_leaves_what_the_filter_knew_last_and_knows_more_before(
+    road_user: RoadUserClass, mean: np.ndarray, dt_s: float
+) -> None:
+    model = usual(road_user)
+    start = Measurement(mean[:3], np.array([0.3, 0.3, 0.1]))
+    first = model.first_belief(start)
+    expected = model.predict(first, dt_s)[0]
+    end = Measurement(model.centre(expected.mean)[0] + np.array([0.2, -0.1, 0.05]), start.sd)
+    filtered = update(model, expected, end)
+    both = Measurement(np.array([start.value, end.value]), np.array([start.sd, end.sd]))
+    one = model_of([CLASSES.index(road_user)], [road_user.traits.size.size_m[0]])
+    times_ns = np.array([0, round(dt_s * 1e9)])
+    smoothed = smooth(one, np.array([2]), times_ns, both, np.array([True, True]))
+    np.testing.assert_allclose(smoothed.mean[1], filtered.mean, atol=1e-6)
+    np.testing.assert_allclose(smoothed.covariance[1], filtered.covariance, atol=1e-6)
+    assert np.trace(smoothed.covariance[0]) < np.trace(first.covariance)
