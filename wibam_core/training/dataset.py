@@ -19,7 +19,7 @@ from wibam_core.training.overlooked import overlooked
 from wibam_core.training.teachable import without
 from wibam_core.training.views import FloatArray, LabelledView
 
-#: Labels whose heading is less certain than this do not tell front from rear.
+#: Pseudo-labels whose heading is less certain than this do not tell front from rear.
 FRONT_SD_RAD = 1.0
 
 #: A track's velocity is taken from instants at most this far apart.

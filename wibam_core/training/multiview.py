@@ -25,7 +25,7 @@ from wibam_core.training.views import FloatArray
 #: gradient explode.
 NEAR_M = 0.5
 
-#: Weight of the multi-view loss beside the lifted one. Small, because it gained nothing on top of lifted labels where
+#: Weight of the multi-view loss beside the lifted one. Small, because it gained nothing on top of pseudo-labels where
 #: it was measured, and its pull towards smaller sizes is the published method's known fault.
 DEFAULT_MULTIVIEW_WEIGHT = 0.1
 

@@ -22,8 +22,8 @@ class LabelledView:
         boxes2d: (N, 4) xyxy, px of ``image``: the visible part of each vehicle.
         classes: (N,) indices into `wibam_core.road_users.CLASSES`.
         boxes3d: (N, 7) in the world; NaN where unknown: such a vehicle teaches the heat and its 2D box alone.
-        confidence: (N,) weight in [0, 1] of the 3D label.
-        front_known: (N,) whether the 3D label tells front from rear; where not, either heading is right.
+        confidence: (N,) weight in [0, 1] of the 3D box: a pseudo-label, that is a fit, or a true one in simulation.
+        front_known: (N,) whether the 3D box tells front from rear; where not, either heading is right.
         ignored: (M, 4) xyxy, px: regions in which the heat is not judged.
     """
 

@@ -1,4 +1,4 @@
-"""Losses of DLA-34: CenterTrack's own under lifted labels, and the published multi-view loss."""
+"""Losses of DLA-34: CenterTrack's own under pseudo-labels (fits to all views), and the published multi-view loss."""
 
 from __future__ import annotations
 
@@ -64,7 +64,7 @@ def box2d_parts(values: HeadValues, targets: DLA34Targets) -> dict[str, Tensor]:
 
 
 def lifted_parts(values: HeadValues, targets: DLA34Targets, decode: Decode) -> dict[str, Tensor]:
-    """The parts that need a 3D label, weighted, by the labels' confidence.
+    """The parts that need a 3D box to learn from, weighted, by its confidence.
 
     Where a label does not tell front from rear, the heading nearer to the network's own counts.
     """

@@ -41,9 +41,9 @@ def lifted_loss(
 ) -> dict[str, Tensor]:
     """The parts of the loss, weighted, and their sum as ``total``.
 
-    Vehicles without a 3D label teach the heat and the 2D box; the others also centre, footprint, depth, size,
-    yaw and the ground corners of the decoded box (smooth L1, m), all by their confidence. Where a label does not tell
-    front from rear, the heading nearer to the network's own counts.
+    Vehicles without a 3D box to learn from teach the heat and the 2D box; the others also centre, footprint, depth,
+    size, yaw and the ground corners of the decoded box (smooth L1, m), all by their confidence. Where a box does not
+    tell front from rear, the heading nearer to the network's own counts.
     """
     values = gather(outputs, targets.image, targets.cells, targets.classes)
     lifted = targets.lifted.double()
