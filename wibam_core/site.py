@@ -15,6 +15,7 @@ import pydantic
 from pydantic import BaseModel, ConfigDict, Field
 
 from wibam_core.errors import SiteFileError
+from wibam_core.text import NotUnicode, decode_text
 
 #: Ids become file names inside our own folders, so they are plain.
 CameraId = Annotated[str, Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9_-]{0,63}$")]
@@ -139,10 +140,12 @@ class Site(_Model):
         """From JSON text.
 
         Raises:
-            SiteFileError: naming the first field that is wrong.
+            SiteFileError: naming the first field that is wrong, or how the text is encoded.
         """
         try:
-            site = cls.model_validate_json(text)
+            site = cls.model_validate_json(decode_text(text) if isinstance(text, bytes) else text)
+        except NotUnicode as error:
+            raise SiteFileError(f"site description: {error}", hint="Save it as UTF-8.") from error
         except pydantic.ValidationError as error:
             first = error.errors()[0]
             where = ".".join(str(part) for part in first["loc"]) or "the file"

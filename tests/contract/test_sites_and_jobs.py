@@ -73,6 +73,13 @@ class TestSites:
         assert found["cameras"] == ["cam1", "cam2"]
         assert found in api.http.get("/v1/sites").json()
 
+    @pytest.mark.parametrize("encoding", ["utf-8-sig", "utf-16"])
+    def test_come_in_any_unicode(self, api: LiveApi, encoding: str) -> None:
+        body = json.dumps({**SITE, "name": "Knotenpunkt Süd"}, ensure_ascii=False).encode(encoding)
+        created = api.http.post("/v1/sites", content=body, headers={"Content-Type": "application/json"})
+        assert created.status_code == 201, created.text
+        assert created.json()["name"] == "Knotenpunkt Süd"
+
     def test_a_wrong_field_is_named(self, api: LiveApi) -> None:
         wrong = json.loads(json.dumps(SITE))
         wrong["cameras"][1]["width_px"] = -1

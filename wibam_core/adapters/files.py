@@ -242,7 +242,12 @@ def _plain(name: str) -> str:
     return name
 
 
+#: What may stand before the first character of JSON: byte-order marks, and the empty byte of a wide one.
+_ENCODING_BYTES = b"\xef\xbb\xbf\xff\xfe\0"
+
+
 def _suffix(head: bytes) -> str:
     if head == b"PAR1":
         return ".parquet"
-    return ".json" if head[:1] in (b"{", b"[") else ""
+    first = head.lstrip(_ENCODING_BYTES)[:1]
+    return ".json" if first in (b"{", b"[") else ""

@@ -10,6 +10,7 @@ import numpy as np
 import pydantic
 
 from wibam_core.errors import InputError
+from wibam_core.text import NotUnicode, decode_text
 
 #: Larger text files are refused: they would be held in memory several times over.
 MAX_BYTES = 1 << 30
@@ -41,15 +42,15 @@ def read_bytes(path: Path, max_bytes: int = MAX_BYTES) -> bytes:
 
 
 def read_text(path: Path, max_bytes: int = MAX_BYTES) -> str:
-    """The content of a UTF-8 text file; line ends as they are.
+    """The content of a text file in any Unicode encoding; line ends as they are.
 
     Raises:
-        InputError: as `read_bytes`, or it is no text.
+        InputError: as `read_bytes`, or it is no such text.
     """
     try:
-        return read_bytes(path, max_bytes).decode("utf-8-sig")
-    except UnicodeDecodeError as error:
-        raise InputError(f"{path.name} is no UTF-8 text", hint="Save it as UTF-8.", file=path.name) from error
+        return decode_text(read_bytes(path, max_bytes))
+    except NotUnicode as error:
+        raise InputError(f"{path.name}: {error}", hint="Save it as UTF-8.", file=path.name) from error
 
 
 def read_json(path: Path, model: type[_Model], max_bytes: int = MAX_BYTES) -> _Model:
@@ -59,7 +60,7 @@ def read_json(path: Path, model: type[_Model], max_bytes: int = MAX_BYTES) -> _M
         InputError: as `read_bytes`, or naming the first field that is wrong.
     """
     try:
-        return model.model_validate_json(read_bytes(path, max_bytes))
+        return model.model_validate_json(read_text(path, max_bytes))
     except pydantic.ValidationError as error:
         first = error.errors(include_url=False, include_input=False)[0]
         where = ".".join(str(part) for part in first["loc"]) or "the file"

@@ -24,6 +24,7 @@ from types import MappingProxyType
 import numpy as np
 
 from wibam_core.errors import InputError
+from wibam_core.exchange import csv_files
 from wibam_core.exchange.base import CAMERA_ID, Content, Part, require_parts
 from wibam_core.exchange.boxes import corner_xywh, from_corner_xywh
 from wibam_core.exchange.files import read_text, wrong
@@ -198,7 +199,7 @@ def _read_rows(path: Path, sequence: _Sequence) -> list[_Row]:
         if not line.strip():
             continue
         try:
-            values = [float(value) for value in line.split(",")]
+            values = csv_files.read_numbers(line)
             row = _Row(
                 int(values[0]),
                 int(values[1]),

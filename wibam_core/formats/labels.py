@@ -20,6 +20,7 @@ from wibam_core.formats import tables
 from wibam_core.geometry.box3d import BOX_FIELDS, SIZE
 from wibam_core.road_users import CLASSES
 from wibam_core.scene import LabelledInstant, Vehicles3D
+from wibam_core.text import NotUnicode, decode_text
 
 #: ``vehicle_id`` is the same for one vehicle over time, or absent. ``visibility``: camera id -> share of the
 #: silhouette that the camera sees, in [0, 1]; a camera that is not named does not see the vehicle.
@@ -118,9 +119,11 @@ def _table(rows: list[dict[str, Any]]) -> pa.Table:
 
 def _read_json(path: Path) -> tuple[pa.Table, list[int]]:
     try:
-        data = json.loads(path.read_text(encoding="utf-8"))
-    except UnicodeDecodeError as cause:
-        raise InvalidLabels(f"{path.name} is neither Parquet nor JSON: it is not even text", hint=_FORMAT) from cause
+        data = json.loads(decode_text(path.read_bytes()))
+    except NotUnicode as cause:
+        raise InvalidLabels(
+            f"{path.name} is neither Parquet nor JSON: {cause}", hint=f"Save it as UTF-8. {_FORMAT}"
+        ) from cause
     except (OSError, ValueError, RecursionError) as cause:
         raise InvalidLabels(f"{path.name} is neither Parquet nor JSON ({cause})", hint=_FORMAT) from cause
     rows = data.get("labels") if isinstance(data, dict) else data

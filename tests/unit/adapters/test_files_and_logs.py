@@ -35,7 +35,15 @@ class TestDataFolder:
         assert folder.log(new_id("job")).parent.is_dir()
 
     @pytest.mark.parametrize(
-        ("head", "suffix"), [(b"PAR1", ".parquet"), (b'{"a"', ".json"), (b"[1", ".json"), (b"\0", "")]
+        ("head", "suffix"),
+        [
+            (b"PAR1", ".parquet"),
+            (b'{"a"', ".json"),
+            (b"[1", ".json"),
+            (b"\xef\xbb\xbf{", ".json"),
+            (b"\xff\xfe[\0", ".json"),
+            (b"\0", ""),
+        ],
     )
     def test_a_file_is_named_by_what_it_is(self, folder: DataFolder, head: bytes, suffix: str) -> None:
         folder.upload(UPLOAD.id).write_bytes(head)

@@ -26,7 +26,7 @@ def test_what_is_no_file_or_no_text_is_refused(tmp_path: Path) -> None:
     with pytest.raises(InputError, match="there is no file"):
         read_text(tmp_path)
     (tmp_path / "a.txt").write_bytes(b"\xff")
-    with pytest.raises(InputError, match=r"a\.txt is no UTF-8 text"):
+    with pytest.raises(InputError, match=r"a\.txt: it is not in UTF-8"):
         read_text(tmp_path / "a.txt")
 
 

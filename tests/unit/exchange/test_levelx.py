@@ -35,6 +35,38 @@ def test_round_trip_keeps_ids_classes_times_places_headings_and_velocities(tmp_p
         assert np.isnan(a.sd).all()
 
 
+@pytest.mark.parametrize("encoding", ["utf-8", "utf-8-sig", "utf-16"])
+@pytest.mark.parametrize(
+    ("delimiter", "decimal", "line_end"), [(";", ",", "\r\n"), (";", ".", "\n"), ("\t", ",", "\n")]
+)
+def test_spreadsheets_of_other_countries_are_read(
+    tmp_path: Path, delimiter: str, decimal: str, line_end: str, encoding: str
+) -> None:
+    LevelX().write(content(), tmp_path)
+    plain = LevelX().read(tmp_path).tracks or ()
+    for path in tmp_path.iterdir():
+        with path.open(newline="") as file:
+            rows = [[cell.replace(".", decimal) for cell in row] for row in csv.reader(file)]
+        path.write_bytes(line_end.join([*(delimiter.join(row) for row in rows), ""]).encode(encoding))
+    read = LevelX().read(tmp_path).tracks or ()
+    assert [(t.track_id, t.vehicle_class) for t in read] == [(t.track_id, t.vehicle_class) for t in plain]
+    for a, b in zip(read, plain, strict=True):
+        np.testing.assert_array_equal(a.boxes, b.boxes)
+        np.testing.assert_array_equal(a.velocities_mps, b.velocities_mps)
+
+
+def test_two_decimal_marks_in_one_table_are_refused(tmp_path: Path) -> None:
+    LevelX().write(content(), tmp_path)
+    path = tmp_path / "00_recordingMeta.csv"
+    names, values = path.read_text().splitlines()
+    frame_rate = names.split(",").index("frameRate")
+    cells = values.split(",")
+    cells[frame_rate] = "12,5"
+    path.write_text(f"{names.replace(',', ';')}\n{';'.join(cells)}\n")
+    with pytest.raises(InputError, match="some have a decimal point and some a decimal comma"):
+        LevelX().read(tmp_path)
+
+
 def test_convention_heading_is_in_degrees_counter_clockwise_from_x(tmp_path: Path) -> None:
     (tracks_path, _, recording_path) = LevelX().write(content(), tmp_path)
     rows = list(csv.DictReader(tracks_path.open()))

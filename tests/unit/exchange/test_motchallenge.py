@@ -28,6 +28,17 @@ def test_round_trip_keeps_boxes_scores_and_identities(tmp_path: Path) -> None:
         assert [(v.track_id, v.views) for v in a.vehicles] == [(v.track_id, v.views) for v in b.vehicles]
 
 
+def test_semicolons_and_decimal_commas_are_read(tmp_path: Path) -> None:
+    MotChallenge().write(content(), tmp_path)
+    plain = MotChallenge().read(tmp_path).instants or ()
+    for path in tmp_path.glob("*/*/*.txt"):
+        path.write_text(path.read_text().replace(",", ";").replace(".", ","), encoding="utf-16")
+    read = MotChallenge().read(tmp_path).instants or ()
+    for a, b in zip(read, plain, strict=True):
+        for camera_id, seen in a.detections.items():
+            np.testing.assert_array_equal(seen.boxes, b.detections[camera_id].boxes)
+
+
 def test_one_sequence_can_be_read_alone(tmp_path: Path) -> None:
     MotChallenge().write(content(), tmp_path)
     read = MotChallenge().read(tmp_path / "cam2").instants or ()

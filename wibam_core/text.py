@@ -1,0 +1,53 @@
+"""Text files as editors and spreadsheets save them, on any system."""
+
+from __future__ import annotations
+
+import codecs
+
+#: UTF-32's little-endian mark begins with UTF-16's, so that it is asked for first.
+_MARKS = (
+    (codecs.BOM_UTF8, "utf-8"),
+    (codecs.BOM_UTF32_LE, "utf-32-le"),
+    (codecs.BOM_UTF32_BE, "utf-32-be"),
+    (codecs.BOM_UTF16_LE, "utf-16-le"),
+    (codecs.BOM_UTF16_BE, "utf-16-be"),
+)
+#: How much of a file shows how it is encoded where it has no mark.
+_LOOKED_AT = 512
+
+
+class NotUnicode(ValueError):
+    """A file that is no text in a Unicode encoding; the message says what it looks like."""
+
+
+def decode_text(content: bytes) -> str:
+    """The text of a file in UTF-8, UTF-16 or UTF-32, with or without a byte-order mark, which is left out.
+
+    Raises:
+        NotUnicode: it is in another encoding, or no text.
+    """
+    mark, encoding = next(
+        ((mark, encoding) for mark, encoding in _MARKS if content.startswith(mark)), (b"", _unmarked(content))
+    )
+    try:
+        return content[len(mark) :].decode(encoding)
+    except UnicodeDecodeError as error:
+        if b"\0" in content[:_LOOKED_AT] or mark:
+            raise NotUnicode("it is no text") from error
+        where = error.start
+        line = content.count(b"\n", 0, where) + 1
+        raise NotUnicode(
+            f"it is not in UTF-8 but in an older encoding, such as Windows-1252: line {line} has the byte "
+            f"{content[where]:#04x}"
+        ) from error
+
+
+def _unmarked(content: bytes) -> str:
+    """The encoding of a file without a mark, whose first characters are taken to be ASCII, as in JSON and CSV."""
+    first = content[:_LOOKED_AT]
+    if b"\0" not in first:
+        return "utf-8"
+    even, odd = first[0::2].count(0), first[1::2].count(0)
+    if first[:3] == b"\0\0\0" or first[1:4] == b"\0\0\0":
+        return "utf-32-be" if first[0] == 0 else "utf-32-le"
+    return "utf-16-be" if even > odd else "utf-16-le"
