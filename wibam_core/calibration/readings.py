@@ -13,6 +13,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from wibam_core.calibration.covariance import CameraCovariance, camera_covariance
 from wibam_core.calibration.homography import solve_ground_camera
 from wibam_core.calibration.matrices import build_camera, size_of_intrinsics
 from wibam_core.calibration.pnp import solve_pose
@@ -72,6 +73,11 @@ class Sighting:
         lens = self.lens(self.K)
         pose = solve_pose(self.world, self.pixels, lens.K, lens.dist)
         return replace(lens, T_world_cam=pose.T_world_cam), pose.used
+
+    def covariance(self, camera: Camera, used: NDArray[np.bool_]) -> CameraCovariance | None:
+        """Of the camera that was solved from the points (N,) in use; None where they are too few to tell."""
+        solved_focal = self.K is None
+        return camera_covariance(camera, self.world[used], self.pixels[used], solved_focal=solved_focal)
 
     def misfit_px(self, camera: Camera) -> float:
         """Mean reprojection error over all points, also those left out, each counted as `_GROSS_PX` at most."""

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from wibam_core.calibration.covariance import CameraCovariance
 from wibam_core.calibration.points import place
 from wibam_core.calibration.robust import MIN_POINTS
 from wibam_core.calibration.view import visible_ground
@@ -24,6 +25,9 @@ Array = NDArray[np.float64]
 ZONES_M = ((0.0, 15.0), (15.0, 30.0), (30.0, 50.0), (50.0, 80.0), (80.0, 200.0))
 #: Points that a sentence names, at most.
 _NAMED_POINTS = 3
+#: Standard deviations beyond which other cameras' boxes of one vehicle stop meeting.
+_LOOSE_M = 1.0
+_LOOSE_DEG = 1.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -39,6 +43,7 @@ class Residuals:
         error_px: (N,) reprojection errors.
         error_m: (N,) distances between each point and where its pixel's ray meets the point's height; NaN where
             it does not.
+        covariance: of the camera; None for ready matrices, and where there are too few points to tell.
         cautions: what is doubtful about it.
     """
 
@@ -49,6 +54,7 @@ class Residuals:
     used: NDArray[np.bool_]
     error_px: Array
     error_m: Array
+    covariance: CameraCovariance | None = None
     cautions: tuple[Caution, ...] = ()
 
     @classmethod
@@ -59,6 +65,7 @@ class Residuals:
         world: Array,
         pixels: Array,
         used: NDArray[np.bool_] | None = None,
+        covariance: CameraCovariance | None = None,
         cautions: Sequence[Caution] = (),
     ) -> Residuals:
         """Measure the errors of points (N, 3) seen at pixels (N, 2)."""
@@ -73,6 +80,7 @@ class Residuals:
             np.ones(len(world), dtype=bool) if used is None else used,
             np.linalg.norm(projected - pixels, axis=1),
             np.linalg.norm((ground - world)[:, :2], axis=1),
+            covariance,
             tuple(cautions),
         )
 
@@ -88,6 +96,10 @@ class Residuals:
             kind=self.kind,
             position_m=self.camera.centre_m.tolist(),
             focal_px=[float(self.camera.K[0, 0]), float(self.camera.K[1, 1])],
+            position_sd_m=None if self.covariance is None else self.covariance.position_sd_m,
+            rotation_sd_deg=None if self.covariance is None else self.covariance.rotation_sd_deg,
+            focal_sd_px=None if self.covariance is None else self.covariance.focal_sd_px,
+            covariance=None if self.covariance is None else self.covariance.matrix.tolist(),
             points=len(self.world),
             rejected=int((~self.used).sum()),
             median_px=self.median_px,
@@ -183,6 +195,19 @@ def fit_cautions(residuals: Residuals) -> list[Caution]:
                 details={"points": len(residuals.used)},
             )
         )
+    if residuals.covariance is not None:
+        position_m = float(np.linalg.norm(residuals.covariance.position_sd_m))
+        rotation_deg = float(np.linalg.norm(residuals.covariance.rotation_sd_deg))
+        if position_m > _LOOSE_M or rotation_deg > _LOOSE_DEG:
+            found.append(
+                Caution(
+                    code="loose_camera",
+                    message=f"the points fix the camera to {position_m:.1f} m and {rotation_deg:.1f}° only (standard "
+                    "deviations)",
+                    hint="Give more points, spread wider: to the left and right, near and far, and raised ones.",
+                    details={"position_sd_m": position_m, "rotation_sd_deg": rotation_deg},
+                )
+            )
     return found
 
 

@@ -92,7 +92,8 @@ def _solved(kind: str, sighting: Sighting, max_error_px: float) -> Residuals:
     except CalibrationError as error:
         below = camera.centre_m[2] <= 0  # as good a fit as the view from above, where all points are on the ground
         raise _meant(better_reading(sighting) if below else None, error) from error
-    residuals = Residuals.of(kind, camera, sighting.world, sighting.pixels, used)
+    covariance = sighting.covariance(camera, used)
+    residuals = Residuals.of(kind, camera, sighting.world, sighting.pixels, used, covariance)
     misfit_px = sighting.misfit_px(camera)
     reading = better_reading(sighting, misfit_px) if misfit_px > _GOOD_PX else None
     problem = misfit_problem(residuals, max_error_px)

@@ -43,6 +43,16 @@ class CameraResiduals(Document):
     """x, y, z of the camera in the world."""
     focal_px: list[float]
     """Focal length in x and y."""
+    position_sd_m: list[float] | None = None
+    """Standard deviations of the position along the world's x, y and z, from the residuals; null for ready matrices,
+    and where there are fewer than five points to tell by."""
+    rotation_sd_deg: list[float] | None = None
+    """Those of the rotation about the camera's x, y and z axes (x right, y down, z forward)."""
+    focal_sd_px: float | None = None
+    """That of the focal length, where it was solved from the points."""
+    covariance: list[list[float]] | None = None
+    """All of these together: of the rotation (rad), the position (m) and, where it was solved, the logarithm of the
+    focal length, in this order. The principal point and the lens are taken to be exact."""
     points: int
     rejected: int
     median_px: float | None

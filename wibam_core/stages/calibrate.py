@@ -8,7 +8,9 @@ from wibam_core.config import CalibrateConfig
 from wibam_core.documents.calibration import CalibrationResiduals
 from wibam_core.stages.base import StageContext, Summary
 
-_SUMMARISED = {"kind", "points", "rejected", "median_px", "max_px", "median_m"}
+_SUMMARISED = {
+    "kind", "points", "rejected", "median_px", "max_px", "median_m", "position_sd_m", "rotation_sd_deg",
+}  # fmt: skip
 
 
 def run(context: StageContext, config: CalibrateConfig) -> Summary:

@@ -167,6 +167,14 @@ def test_a_wrong_click_is_left_out_and_named():
     assert "1 of 11 points" in caution.message and "(2.00, 9.00, 0.00) by" in caution.message
 
 
+def test_points_that_hardly_fix_the_camera_are_warned_of():
+    clump = np.concatenate([0.12 * GROUND[:, :2] + [2.0, 1.0], np.zeros((8, 1))], axis=1)
+    result = solve_camera(entry("pnp", clump, clicked(clump, noise_px=1.0)), CONFIG)
+    assert "loose_camera" in codes(result)
+    document = result.document()
+    assert document.position_sd_m is not None and np.linalg.norm(document.position_sd_m) > 1.0
+
+
 def test_few_points_are_warned_of():
     result = solve_camera(entry("pnp", GROUND[:4], clicked(GROUND[:4], noise_px=0.1)), CONFIG)
     assert codes(result) == ["few_points"]

@@ -67,6 +67,11 @@ def test_every_kind_of_calibration_gives_its_camera_back():
         np.testing.assert_allclose(rig[camera_id].K, camera.K, rtol=1e-4)
     assert [r.kind for r in residuals.values()] == ["matrices", "pnp", "homography"]
     assert residuals["cam2"].median_px < 1e-3
+    documents = {camera_id: result.document() for camera_id, result in residuals.items()}
+    assert documents["cam1"].position_sd_m is None and documents["cam1"].covariance is None
+    assert np.shape(documents["cam2"].covariance) == (6, 6) and documents["cam2"].focal_sd_px is None
+    assert np.shape(documents["cam3"].covariance) == (7, 7) and documents["cam3"].focal_sd_px < 1e-3
+    assert max(documents["cam2"].position_sd_m) < 1e-6 and max(documents["cam2"].rotation_sd_deg) < 1e-6
     assert residuals["cam1"].median_px is None
 
 

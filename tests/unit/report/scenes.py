@@ -283,7 +283,9 @@ def report_data(*, labels: bool = True, site_name: str = "Elm Street / 4th Avenu
             ),
         ),
         calibration=tuple(
-            CalibrationRow(c, "pnp", 12, 1, 0.61, 1.9, 0.04, {(0.0, 15.0): 0.04, (15.0, 30.0): 0.09, (30.0, 50.0): 0.2})
+            CalibrationRow(
+                c, "pnp", 12, 1, 0.61, 1.9, 0.04, 0.05, 0.11, {(0.0, 15.0): 0.04, (15.0, 30.0): 0.09, (30.0, 50.0): 0.2}
+            )
             for c in ids
         ),
         dataset=Dataset(
