@@ -74,6 +74,7 @@ class StageFolders:
         assets: Mapping[str, Path] | None = None,
         progress: Progress = silent,
         checked_options: FinetuneConfig | None = None,
+        earlier: Sequence[ArtifactReader] = (),
     ) -> StageContext:
         """What the stage would be given; it reads and writes here."""
         spec = STAGES[stage]
@@ -90,4 +91,5 @@ class StageFolders:
             progress,
             self.warnings.append,
             checked_options,
+            tuple(earlier),
         )

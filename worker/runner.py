@@ -110,7 +110,10 @@ class StageRunner:
 
     def _tidy(self) -> None:
         try:
-            self._jobs.drop_unnamed(self._store.addresses(), self._store.remove)
+            addresses = self._store.addresses()
+            for stage, frame_hash in self._jobs.frame_hashes_to_come():
+                addresses -= self._store.addresses_with(stage, frame_hash)
+            self._jobs.drop_unnamed(addresses, self._store.remove)
         except (SQLAlchemyError, OSError) as error:  # the next one tries again
             _log.warning("outputs that nobody needs are left: %s", error)
 
@@ -164,7 +167,7 @@ class StageRunner:
             for warning in made.warnings:
                 account.warn(warning)
             return self._leases.succeed(claim, made.summary, lambda: None, account.warnings, reused=True)
-        attempt = self._store.begin(stage.name, stage.hash)
+        attempt = self._store.begin(stage.name, stage.hash, stage.frame_hash)
         try:
             account.write(f"started, attempt {claim.attempt}")
             started = time.monotonic()

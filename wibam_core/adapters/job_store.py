@@ -187,6 +187,15 @@ class JobStore:
                 if session.scalar(select(StageRow.name).where(StageRow.hash == hash).limit(1)) is None:
                     remove_outputs(name, hash)
 
+    def frame_hashes_to_come(self) -> set[tuple[str, str]]:
+        """Stages that have yet to run frame by frame, with their frame hashes: outputs with these save them work."""
+        to_come = [state.value for state in StageState if not state.is_terminal]
+        wanted = select(StageRow.name, StageRow.frame_hash).where(
+            StageRow.frame_hash.is_not(None), StageRow.state.in_(to_come)
+        )
+        with self._database.reading() as session:
+            return {(name, str(frame_hash)) for name, frame_hash in session.execute(wanted.distinct())}
+
     def drop_unnamed(self, addresses: Iterable[tuple[str, str]], remove_outputs: Callable[[str, str], None]) -> None:
         """Remove the outputs that no job refers to, left by a restart with other options or a death at a bad moment.
 
@@ -245,6 +254,7 @@ def _fresh_stage(job_id: str, position: int, planned: PlannedStage) -> StageRow:
         position=position,
         hash=planned.hash,
         requires=list(planned.requires),
+        frame_hash=planned.frame_hash,
         state=StageState.PENDING.value,
         forced=False,
         attempts=0,

@@ -135,6 +135,7 @@ class StageRow(Base):
     position: Mapped[int]
     hash: Mapped[str] = mapped_column(String(64), index=True)
     requires: Mapped[list[str]]
+    frame_hash: Mapped[str | None] = mapped_column(String(64))
     state: Mapped[str] = mapped_column(String(16))
     forced: Mapped[bool]
     attempts: Mapped[int]

@@ -76,6 +76,7 @@ def stage_run(row: StageRow) -> StageRun:
         name=row.name,
         hash=row.hash,
         requires=tuple(row.requires),
+        frame_hash=row.frame_hash,
         state=StageState(row.state),
         forced=row.forced,
         attempts=row.attempts,

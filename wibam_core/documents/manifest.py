@@ -21,6 +21,8 @@ class Manifest(Document):
     stage: str
     hash: str = Field(validation_alias=AliasChoices("hash", "digest"))
     """The address of its outputs; called digest in what version 0.1 left."""
+    frame_hash: str | None = None
+    """Outputs of one such hash hold the same of each frame; null for a stage that does not work frame by frame."""
     seconds: float
     """How long it took."""
     summary: dict[str, JsonValue]

@@ -15,6 +15,7 @@ import threading
 import zlib
 from collections.abc import Iterable, Mapping
 from dataclasses import asdict, dataclass, field
+from functools import cached_property
 from pathlib import Path
 from types import TracebackType
 from typing import BinaryIO, NamedTuple
@@ -46,11 +47,11 @@ _SCHEMA = pa.schema(
 
 
 class _Place(NamedTuple):
-    """Where in its camera's file a JPEG lies. Without a length there is none: the recording is damaged there."""
+    """Where in its camera's file a JPEG lies."""
 
-    offset: int = 0
-    length: int = 0
-    crc32: int = 0
+    offset: int
+    length: int
+    crc32: int
 
 
 @dataclass(frozen=True)
@@ -209,7 +210,6 @@ class FrameStore:
     Attributes:
         folder: where it lies.
         camera_ids: cameras that have frames, sorted.
-        frame_sets: all instants, ascending.
 
     Raises:
         InputError: the folder holds no finished frame store.
@@ -220,18 +220,26 @@ class FrameStore:
         try:
             sizes = json.loads((folder / _CAMERAS).read_text())
             table = pq.read_table(folder / _FRAMES, schema=_SCHEMA)
-            self.frame_sets: list[FrameSet] = read_instants(folder / _INSTANTS)
         except (OSError, ValueError, pa.ArrowInvalid) as error:
             raise InputError(
                 f"{folder.name} holds no finished frame store: {error}", hint="Run the frames stage again."
             ) from error
         self._sizes = {id_: _Sizes(**values) for id_, values in sizes.items()}
         self.camera_ids: tuple[str, ...] = tuple(self._sizes)
-        self._places: dict[str, dict[int, _Place]] = {}
-        for camera_id, local_ns, *place in zip(*(column.to_pylist() for column in table.columns), strict=True):
-            self._places.setdefault(camera_id, {})[local_ns] = _Place(*place)
-        self._instants = {instant.time_ns: instant for instant in self.frame_sets}
+        cameras = table["camera_id"].to_numpy()
+        places = np.stack([table[name].to_numpy() for name in _SCHEMA.names[1:]])
+        #: By camera (4, N): times, ascending, then where their JPEG files lie.
+        self._places = {id_: places[:, cameras == id_] for id_ in table["camera_id"].unique().to_pylist()}
         self._packs: dict[str, mmap.mmap] = {}
+
+    @cached_property
+    def frame_sets(self) -> list[FrameSet]:
+        """All instants, ascending."""
+        return read_instants(self.folder / _INSTANTS)
+
+    @cached_property
+    def _instants(self) -> dict[int, FrameSet]:
+        return {instant.time_ns: instant for instant in self.frame_sets}
 
     def __len__(self) -> int:
         return len(self.frame_sets)
@@ -274,23 +282,24 @@ class FrameStore:
 
     def jpeg_at(self, camera_id: str, local_ns: int) -> bytes:
         """As `image_at`, as a JPEG file."""
-        place = self._places[camera_id][local_ns]
-        if not place.length:
+        times_ns, offsets, lengths, checksums = self._places[camera_id]
+        at = np.searchsorted(times_ns, local_ns)
+        if at == len(times_ns) or times_ns[at] != local_ns or not lengths[at]:
             raise KeyError(local_ns)
-        jpeg = self._pack(camera_id)[place.offset : place.offset + place.length]
-        if zlib.crc32(jpeg) != place.crc32:
+        jpeg = self._pack(camera_id)[offsets[at] : offsets[at] + lengths[at]]
+        if zlib.crc32(jpeg) != checksums[at]:
             raise _damaged(camera_id, local_ns)
         return jpeg
 
     def stored_ns(self, camera_id: str) -> NDArray[np.int64]:
         """(N,) times of all of a camera's stored frames on its own clock, ascending."""
-        places = self._places.get(camera_id, {})
-        return np.array([local_ns for local_ns, place in places.items() if place.length], dtype=np.int64)
+        times_ns, _, lengths, _ = self._places[camera_id]
+        return times_ns[lengths > 0]
 
-    def damaged(self, camera_id: str) -> frozenset[int]:
-        """Times, on the camera's own clock, at which the recording is known to be damaged."""
-        places = self._places.get(camera_id, {})
-        return frozenset(local_ns for local_ns, place in places.items() if not place.length)
+    def damaged_ns(self, camera_id: str) -> NDArray[np.int64]:
+        """(N,) times, on the camera's own clock, at which its recording is known to be damaged, ascending."""
+        times_ns, _, lengths, _ = self._places.get(camera_id, np.empty((4, 0), np.int64))
+        return times_ns[lengths == 0]
 
     def size(self, camera_id: str) -> Size:
         """(width, height) px of the stored frames."""
@@ -320,8 +329,14 @@ class FrameStore:
 
     def _pack(self, camera_id: str) -> mmap.mmap:
         if camera_id not in self._packs:
-            with (self.folder / _PACK.format(camera_id)).open("rb") as file:
-                self._packs[camera_id] = mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ)
+            try:
+                with (self.folder / _PACK.format(camera_id)).open("rb") as file:
+                    self._packs[camera_id] = mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ)
+            except (OSError, ValueError) as error:
+                raise InputError(
+                    f"the stored frames of camera {camera_id} cannot be read: {error}",
+                    hint="Run the frames stage again.",
+                ) from error
         return self._packs[camera_id]
 
 

@@ -82,6 +82,7 @@ class StageRun:
 
     Attributes:
         hash: address of its outputs; equal hashes have equal outputs.
+        frame_hash: outputs with equal ones hold the same of each frame; None where it does not work frame by frame.
         forced: runs even if its outputs are published already.
         attempts: how often a worker has claimed it since the job was (re)started.
         fence: raised by every claim; see `wibam_core.jobs.leases`.
@@ -95,6 +96,7 @@ class StageRun:
     hash: str
     requires: tuple[str, ...]
     state: StageState
+    frame_hash: str | None = None
     forced: bool = False
     attempts: int = 0
     fence: int = 0

@@ -38,6 +38,8 @@ class StageContext:
         progress: call it a few times a second at most.
         warned: who is told of warnings; see `warn`.
         checked_options: options of fine-tuning that the site's own network must be able to do; None: not here.
+        earlier: what this stage made before, of a stage that works frame by frame, where what it makes of a frame was
+            the same; the newest first. Each may vanish while it is read, and changes no output: only what it costs.
     """
 
     stage: str
@@ -50,6 +52,7 @@ class StageContext:
     progress: Progress
     warned: WarningListener
     checked_options: FinetuneConfig | None = None
+    earlier: tuple[ArtifactReader, ...] = ()
 
     def warn(self, *cautions: Caution) -> None:
         """Say what makes the result doubtful: to the log, the job, the terminal and the top of the report."""

@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
+from contextlib import suppress
 from functools import partial
 
 import numpy as np
 
+from wibam_core.artifacts.artifact import Artifact
 from wibam_core.artifacts.catalogue import (
     BACKGROUND_DETECTIONS,
     DETECTION_STATISTICS,
@@ -22,7 +24,7 @@ from wibam_core.detection.background import BackgroundFrames
 from wibam_core.detection.detector import BUNDLED, Detector, load_detector
 from wibam_core.detection.instants import annotated, frames_of
 from wibam_core.detection.statistics import detection_statistics
-from wibam_core.errors import NoVehicles
+from wibam_core.errors import InputError, NoVehicles
 from wibam_core.formats.framestore import FrameStore
 from wibam_core.progress import Progress, part
 from wibam_core.scene import Boxes2D, FrameKey
@@ -34,7 +36,7 @@ _CHUNK = 64
 
 
 def run(context: StageContext, config: DetectConfig) -> Summary:
-    """Write what is seen in the frames of the instants, thinned to ``config.rate_hz``.
+    """Write what is seen in the frames of the instants, thinned to ``config.rate_hz``. Only new ones are searched.
 
     That is `DETECTIONS`, 2D boxes by frame, `SEARCHED_INSTANTS`, which of the instants they belong to,
     `DETECTION_STATISTICS`, and, where boxes were looked at a second time, `BACKGROUND_DETECTIONS`.
@@ -56,18 +58,40 @@ def run(context: StageContext, config: DetectConfig) -> Summary:
             for camera_id in store.camera_ids
         }
         of_backgrounds = background_frames(frames, shown)
-    to_search = sorted({*frames, *of_backgrounds})
-    detected = dict(_search_all(store, to_search, detector, part(context.progress, 0.0, 0.5 if refined else 1.0)))
-    if not any(len(detected[frame].boxes) for frame in frames):
+    known = _known(context, DETECTIONS, frames)
+    looks = _known(context, BACKGROUND_DETECTIONS, of_backgrounds)
+    missing = [frame for frame in frames if frame not in known]
+    to_search = sorted({*missing, *of_backgrounds} - looks.keys())
+    looks |= _search_all(store, to_search, detector, part(context.progress, 0.0, 0.5 if refined else 1.0))
+    seen = looks | known
+    if not any(len(seen[frame].boxes) for frame in frames):
         raise NoVehicles(f"no vehicle was detected in {len(frames)} frames of {len(store.camera_ids)} cameras")
     if refined:
-        context.write(BACKGROUND_DETECTIONS, {frame: detected[frame] for frame in of_backgrounds})
-        detected = dict(refine_all(store, frames, detected, shown, config, part(context.progress, 0.5, 1.0)))
-    context.write(DETECTIONS, {frame: detected[frame] for frame in frames})
+        context.write(BACKGROUND_DETECTIONS, {frame: looks[frame] for frame in of_backgrounds})
+        seen = known | dict(refine_all(store, missing, looks, shown, config, part(context.progress, 0.5, 1.0)))
+    detected = {frame: seen[frame] for frame in frames}
+    context.progress(1.0, f"{len(missing)} of {len(frames)} frames were new")
+    context.write(DETECTIONS, detected)
     context.write(SEARCHED_INSTANTS, instants)
     statistics = detection_statistics(annotated(instants, detected), store.camera_ids)
     context.write(DETECTION_STATISTICS, statistics)
     return statistics.model_dump()
+
+
+def _known(
+    context: StageContext, artifact: Artifact[dict[FrameKey, Boxes2D]], frames: Iterable[FrameKey]
+) -> dict[FrameKey, Boxes2D]:
+    """What earlier outputs hold of the frames."""
+    known: dict[FrameKey, Boxes2D] = {}
+    wanted = set(frames)
+    for outputs in context.earlier:
+        if not wanted:
+            break
+        with suppress(InputError):  # it was removed meanwhile
+            there = outputs.read(artifact)
+            known |= {frame: there[frame] for frame in wanted & there.keys()}
+            wanted -= there.keys()
+    return known
 
 
 def _detector(context: StageContext, config: DetectConfig) -> Detector:

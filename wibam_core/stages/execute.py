@@ -46,6 +46,7 @@ class StageRequest(BaseModel):
     recordings: dict[str, Path]
     assets: dict[str, Path] = {}
     upstream: dict[str, Path]
+    earlier: tuple[Path, ...] = ()
     output: Path
     scratch: Path
 
@@ -77,6 +78,7 @@ class StageRequest(BaseModel):
             recordings=dict(recordings),
             assets={name: assets[name] for name in spec.assets_read(config) if name in assets},
             upstream={name: upstream[name] for name in spec.requires},
+            earlier=attempt.earlier,
             output=attempt.output,
             scratch=attempt.scratch,
         )
@@ -94,6 +96,7 @@ class StageRequest(BaseModel):
             progress,
             warned,
             STAGES[self.stage].checked_options(self.config),
+            tuple(ArtifactReader({self.stage: folder}) for folder in self.earlier),
         )
 
 

@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import os
 import threading
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor, wait
+from contextlib import suppress
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import NamedTuple
@@ -17,12 +18,12 @@ from wibam_core.artifacts.catalogue import CLOCKS, FRAMES, LIMITS, PROBE, TIMEST
 from wibam_core.config import FramesConfig
 from wibam_core.detection.background import BackgroundFrames
 from wibam_core.documents.recordings import VideoInfo
-from wibam_core.errors import NoOverlap
-from wibam_core.formats.framestore import FrameStoreWriter
+from wibam_core.errors import InputError, NoOverlap
+from wibam_core.formats.framestore import FrameStore, FrameStoreWriter
 from wibam_core.scene import ClockMap
 from wibam_core.stages.base import StageContext, Summary
 from wibam_core.video.decode import OnePass
-from wibam_core.video.sampling import Span, common_instants, nearer_times, overlap_s, period_ns
+from wibam_core.video.sampling import Span, common_instants, nearer_times, nearest_times, overlap_s, period_ns
 
 _SECONDS_BETWEEN_REPORTS = 0.5
 _HINT_ALONE = "Check that camera's recording and clock, or remove it from the site."
@@ -54,6 +55,7 @@ class _Camera:
     targets: list[_Target]
     damaged: set[int] = field(default_factory=set)
     stored: int = 0
+    copied: int = 0
     seen: int = 0
 
     @property
@@ -64,7 +66,8 @@ class _Camera:
 def run(context: StageContext, config: FramesConfig) -> Summary:
     """Write a frame store: for each instant that two cameras span, the nearest frame of every camera.
 
-    Beside these it holds the frames that may show a camera's background, which no clock and no rate changes.
+    Beside these it holds the frames that may show a camera's background, which no clock and no rate changes. What
+    earlier outputs hold is copied from there: a recording of which they hold all that is needed is not opened.
 
     Raises:
         NoOverlap: no two recordings show the same instant, or a camera shares too little time with every other one,
@@ -85,8 +88,9 @@ def run(context: StageContext, config: FramesConfig) -> Summary:
         _camera(camera_id, context.recordings[camera_id], clocks[camera_id], info, times[camera_id], instants, config)
         for camera_id, info in infos.items()
     ]
+    earlier = _earlier(context)
     with FrameStoreWriter(context.new_file(FRAMES), config.jpeg_quality) as writer:
-        _read_all(cameras, writer, config.width_px, context)
+        _read_all(cameras, writer, earlier, config.width_px, context)
         _check_stored(cameras, len(instants))
         writer.close({camera.id: (camera.info.width_px, camera.info.height_px) for camera in cameras})
     return {
@@ -171,36 +175,76 @@ def _camera(
     return _Camera(camera_id, recording, clock, info, times_ns, targets)
 
 
-def _read_all(cameras: list[_Camera], writer: FrameStoreWriter, width_px: int, context: StageContext) -> None:
+def _earlier(context: StageContext) -> list[FrameStore]:
+    stores = []
+    for outputs in context.earlier:
+        with suppress(InputError):  # it was removed meanwhile
+            stores.append(outputs.read(FRAMES))
+    return stores
+
+
+def _read_all(
+    cameras: list[_Camera],
+    writer: FrameStoreWriter,
+    earlier: Sequence[FrameStore],
+    width_px: int,
+    context: StageContext,
+) -> None:
     """Read cameras side by side (decoding and JPEG run outside the interpreter's lock), reporting from this thread."""
     stop = threading.Event()
     total = max(sum(len(camera.targets) for camera in cameras), 1)
     with ThreadPoolExecutor(max_workers=max(2, len(os.sched_getaffinity(0)))) as pool:
-        pending: set[Future[None]] = {pool.submit(_read, camera, writer, width_px, stop) for camera in cameras}
+        pending: set[Future[None]] = {pool.submit(_read, camera, writer, earlier, width_px, stop) for camera in cameras}
         try:
             while pending:
                 done, pending = wait(pending, timeout=_SECONDS_BETWEEN_REPORTS)
                 for future in done:
                     future.result()
-                stored = sum(camera.stored for camera in cameras)
-                context.progress(sum(camera.seen for camera in cameras) / total, f"{stored} frames")
+                stored, copied = (sum(counts) for counts in zip(*((c.stored, c.copied) for c in cameras), strict=True))
+                message = f"{stored} frames, {copied} of them read before" if copied else f"{stored} frames"
+                context.progress(sum(camera.seen for camera in cameras) / total, message)
         finally:
             stop.set()
 
 
-def _read(camera: _Camera, writer: FrameStoreWriter, width_px: int, stop: threading.Event) -> None:
+def _read(
+    camera: _Camera, writer: FrameStoreWriter, earlier: Sequence[FrameStore], width_px: int, stop: threading.Event
+) -> None:
     one_pass = OnePass(camera.recording, among=set(camera.times_ns.tolist()), width_px=width_px)
-    for target in camera.targets:
+    for target, expected_ns in zip(camera.targets, _expected(camera, earlier), strict=True):
         if stop.is_set():
             return
-        frame = one_pass.nearest(target.local_ns, target.tolerance_ns)
-        found_ns = None if frame is None else frame.time_ns
+        found_ns = expected_ns
+        if expected_ns is None or not _copy(camera, expected_ns, earlier, writer):
+            frame = one_pass.nearest(target.local_ns, target.tolerance_ns) if expected_ns is not None else None
+            found_ns = None if frame is None else frame.time_ns
+            if frame is not None:
+                writer.add_frame(camera.id, frame.time_ns, frame.image_bgr)
         camera.damaged.update(nearer_times(camera.times_ns, target.local_ns, found_ns, target.tolerance_ns))
-        if frame is not None:
-            writer.add_frame(camera.id, frame.time_ns, frame.image_bgr)
-            if target.instant_ns is not None:
-                frame_time_ns = int(camera.clock.to_reference_ns(frame.time_ns))
-                writer.add_to_instant(target.instant_ns, camera.id, frame.time_ns, frame_time_ns)
-                camera.stored += 1
+        if found_ns is not None and target.instant_ns is not None:
+            frame_time_ns = int(camera.clock.to_reference_ns(found_ns))
+            writer.add_to_instant(target.instant_ns, camera.id, found_ns, frame_time_ns)
+            camera.stored += 1
         camera.seen += 1
     writer.add_damaged(camera.id, camera.damaged)
+
+
+def _expected(camera: _Camera, earlier: Sequence[FrameStore]) -> list[int | None]:
+    """The frame nearest to each target, of all that are not known to be damaged; None where there is none."""
+    damaged = [store.damaged_ns(camera.id) for store in earlier]
+    times_ns = np.setdiff1d(camera.times_ns, np.concatenate([np.empty(0, np.int64), *damaged]))
+    targets_ns = np.array([target.local_ns for target in camera.targets], dtype=np.int64)
+    return nearest_times(times_ns, targets_ns, np.array([target.tolerance_ns for target in camera.targets], np.int64))
+
+
+def _copy(camera: _Camera, local_ns: int, earlier: Sequence[FrameStore], writer: FrameStoreWriter) -> bool:
+    """Copy a frame from where it is; returns whether it is anywhere."""
+    for store in earlier:
+        try:
+            jpeg = store.jpeg_at(camera.id, local_ns)
+        except (KeyError, InputError):  # not there, damaged, or removed meanwhile
+            continue
+        writer.add_jpeg(camera.id, local_ns, jpeg, store.size(camera.id))
+        camera.copied += 1
+        return True
+    return False

@@ -63,6 +63,19 @@ def _of_network(config: PipelineConfig) -> FinetuneConfig | None:
 
 
 @dataclass(frozen=True)
+class FrameByFrame:
+    """That a stage makes something of each frame by itself, so that it can be copied where it was made before.
+
+    Attributes:
+        options: of the stage, that only say which frames it works on.
+        stages: before it, whose outputs only say that.
+    """
+
+    options: frozenset[str]
+    stages: frozenset[str] = frozenset()
+
+
+@dataclass(frozen=True)
 class StageSpec:
     """One stage.
 
@@ -77,6 +90,7 @@ class StageSpec:
             that it writes.
         checked_options: those of fine-tuning that it checks the site's own network against; what it writes is the same
             for all.
+        frame_by_frame: how it works on single frames; None where it does not.
     """
 
     name: str
@@ -87,6 +101,7 @@ class StageSpec:
     assets: tuple[str, ...] = ()
     asset_checks: frozenset[str] = frozenset()
     checked_options: Callable[[PipelineConfig], FinetuneConfig | None] = _no_options
+    frame_by_frame: FrameByFrame | None = None
 
     @property
     def requires(self) -> tuple[str, ...]:
@@ -135,8 +150,15 @@ _SPECS = (
         (catalogue.PROBE, catalogue.TIMESTAMPS, catalogue.LIMITS, catalogue.CLOCKS),
         _sizes,
         reads_recordings=True,
+        frame_by_frame=FrameByFrame(frozenset({"rate_hz"}), frozenset({"preflight", "sync"})),
     ),
-    StageSpec("detect", "Detect vehicles in 2D", (catalogue.TIMESTAMPS, catalogue.FRAMES), assets=("detector",)),
+    StageSpec(
+        "detect",
+        "Detect vehicles in 2D",
+        (catalogue.TIMESTAMPS, catalogue.FRAMES),
+        assets=("detector",),
+        frame_by_frame=FrameByFrame(frozenset({"rate_hz"})),
+    ),
     StageSpec(
         "associate",
         "Associate views and link over time",
@@ -205,11 +227,20 @@ class InputDigests:
 
 @dataclass(frozen=True)
 class PlannedStage:
-    """A stage that a job is to have: the address of its outputs, and the stages whose outputs it reads."""
+    """A stage that a job is to have.
+
+    Attributes:
+        name: which.
+        hash: the address of its outputs.
+        requires: the stages whose outputs it reads.
+        frame_hash: of all that says what it makes of one frame, but not of what says which frames those are: outputs
+            of one such hash hold the same of each frame. None for a stage that does not work frame by frame.
+    """
 
     name: str
     hash: str
     requires: tuple[str, ...]
+    frame_hash: str | None = None
 
 
 def plan(site: Site, config: PipelineConfig, inputs: InputDigests) -> tuple[PlannedStage, ...]:
@@ -225,6 +256,7 @@ def plan(site: Site, config: PipelineConfig, inputs: InputDigests) -> tuple[Plan
     require_assets(config, inputs.assets)
     planned: list[PlannedStage] = []
     contents: dict[str, str] = {}
+    frame_hashes: dict[str, str] = {}
     for spec in STAGES.values():
         if spec.name in inputs.given:
             contents[spec.name] = _hash_of({"stage": spec.name, "given": inputs.given[spec.name]})
@@ -242,11 +274,23 @@ def plan(site: Site, config: PipelineConfig, inputs: InputDigests) -> tuple[Plan
             "assets": {name: inputs.assets[name] for name in spec.assets_read(config) if name in inputs.assets},
             "upstream": {name: contents[name] for name in spec.requires},
         }
-        planned.append(PlannedStage(spec.name, _hash_of(facts), spec.requires))
+        frame_hash = None
+        if spec.frame_by_frame is not None:
+            frame_hash = _hash_of(facts | _facts_of_frames(spec, facts, contents | frame_hashes))
+            frame_hashes[spec.name] = frame_hash
+        planned.append(PlannedStage(spec.name, _hash_of(facts), spec.requires, frame_hash))
         if spec.asset_checks:
             facts |= {"code": spec.code(checks=False), "assets": {}, "checked": None}
         contents[spec.name] = _hash_of(facts)
     return tuple(planned)
+
+
+def _facts_of_frames(spec: StageSpec, facts: Mapping[str, Any], contents: Mapping[str, str]) -> dict[str, Any]:
+    """Those of the facts, without what only says which frames, that differ from all facts."""
+    assert spec.frame_by_frame is not None
+    options = {name: value for name, value in facts["options"].items() if name not in spec.frame_by_frame.options}
+    upstream = {name: contents[name] for name in spec.requires if name not in spec.frame_by_frame.stages}
+    return {"options": options, "upstream": upstream}
 
 
 def _hash_of(facts: Mapping[str, Any]) -> str:

@@ -177,7 +177,7 @@ def _made(
 ) -> Path:
     """The published folder of a stage, run on those of the stages before."""
     name = planned.name
-    attempt = store.begin(name, planned.hash)
+    attempt = store.begin(name, planned.hash, planned.frame_hash)
     request = StageRequest.of(attempt, folder.site, config, folder.recordings, folder.assets, folders)
     warnings: list[StageWarning] = []
     report(0.0)

@@ -10,9 +10,11 @@ import re
 import secrets
 import shutil
 import tempfile
-from collections.abc import Callable, Collection, Iterator, Sequence
+from collections.abc import Callable, Collection, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+
+from pydantic import ValidationError
 
 from wibam_core.artifacts.access import MANIFEST
 from wibam_core.documents.manifest import FileFacts, Manifest
@@ -24,12 +26,21 @@ _ADDRESS = re.compile(r"(\w+)-([0-9a-f]{32})")
 
 @dataclass(frozen=True)
 class Attempt:
-    """Where one run of a stage writes: ``output`` is its own; ``scratch`` outlives it until the stage is published."""
+    """One run of a stage.
+
+    Attributes:
+        stage, hash, frame_hash: as in `wibam_core.stages.graph.PlannedStage`.
+        output: where it alone writes.
+        scratch: outlives it until the stage is published.
+        earlier: published outputs of the same frame hash, the newest first. Each may be removed at any time.
+    """
 
     stage: str
     hash: str
+    frame_hash: str | None
     output: Path
     scratch: Path
+    earlier: tuple[Path, ...]
 
 
 class StageStore:
@@ -70,14 +81,15 @@ class StageStore:
                 fcntl.lockf(lock, fcntl.LOCK_EX, *own_byte)
             yield
 
-    def begin(self, stage: str, hash: str) -> Attempt:
+    def begin(self, stage: str, hash: str, frame_hash: str | None = None) -> Attempt:
         """A fresh output folder, with the scratch folder that an earlier attempt at the same stage may have left."""
         self._partial.mkdir(parents=True, exist_ok=True)
         scratch = self._scratch / f"{stage}-{hash[:32]}"
         scratch.mkdir(parents=True, exist_ok=True)
         output = Path(tempfile.mkdtemp(prefix=_prefix(stage, hash), dir=self._partial))
         output.chmod(0o755)
-        return Attempt(stage, hash, output, scratch)
+        earlier = () if frame_hash is None else tuple(self._with_frame_hash(stage, frame_hash))
+        return Attempt(stage, hash, frame_hash, output, scratch, earlier)
 
     def temporary(self, attempt: Attempt) -> tempfile.TemporaryDirectory[str]:
         """A folder for whatever an attempt needs only while it runs. Where it was killed, `sweep` removes it."""
@@ -89,7 +101,7 @@ class StageStore:
 
         Once it returns, the output would survive a power cut.
         """
-        write_manifest(attempt.output, attempt.stage, attempt.hash, summary, seconds, warnings)
+        write_manifest(attempt.output, attempt.stage, attempt.hash, summary, seconds, warnings, attempt.frame_hash)
         for path in (*attempt.output.rglob("*"), attempt.output):
             if path.is_file() or path.is_dir():
                 _sync(path)
@@ -145,7 +157,23 @@ class StageStore:
     def addresses(self) -> set[tuple[str, str]]:
         """Stage and first half of the hash of everything that is published, or has scratch."""
         folders = [path for root in (self.root, self._scratch) if root.is_dir() for path in root.iterdir()]
-        return {(found[1], found[2]) for path in folders if (found := _ADDRESS.fullmatch(path.name))}
+        return _addresses_of(folders)
+
+    def addresses_with(self, stage: str, frame_hash: str) -> set[tuple[str, str]]:
+        """Those of them that are published and hold the same of each frame."""
+        return _addresses_of(self._with_frame_hash(stage, frame_hash))
+
+    def _with_frame_hash(self, stage: str, frame_hash: str) -> list[Path]:
+        """Published outputs that hold the same of each frame, the newest first."""
+        found = []
+        for folder in self.root.glob(f"{stage}-*"):
+            path = folder / MANIFEST
+            try:
+                if Manifest.model_validate_json(path.read_bytes()).frame_hash == frame_hash:
+                    found.append((path.stat().st_mtime_ns, folder))
+            except (OSError, ValidationError):
+                continue  # no output, or one that is being removed
+        return [folder for _, folder in sorted(found, reverse=True)]
 
     def _drop(self, folder: Path) -> None:
         """Remove a folder: at once for everybody, also if this process is killed before the last file is gone."""
@@ -157,7 +185,13 @@ class StageStore:
 
 
 def write_manifest(
-    folder: Path, stage: str, hash: str, summary: Summary, seconds: float, warnings: Sequence[StageWarning] = ()
+    folder: Path,
+    stage: str,
+    hash: str,
+    summary: Summary,
+    seconds: float,
+    warnings: Sequence[StageWarning] = (),
+    frame_hash: str | None = None,
 ) -> None:
     """Write the manifest of a folder that holds all of a stage's outputs."""
     files = {
@@ -166,9 +200,19 @@ def write_manifest(
         if path.is_file()
     }
     manifest = Manifest(
-        stage=stage, hash=hash, seconds=round(seconds, 3), summary=summary, warnings=tuple(warnings), files=files
+        stage=stage,
+        hash=hash,
+        frame_hash=frame_hash,
+        seconds=round(seconds, 3),
+        summary=summary,
+        warnings=tuple(warnings),
+        files=files,
     )
     (folder / MANIFEST).write_text(manifest.model_dump_json(indent=1), encoding="utf-8")
+
+
+def _addresses_of(folders: Iterable[Path]) -> set[tuple[str, str]]:
+    return {(found[1], found[2]) for folder in folders if (found := _ADDRESS.fullmatch(folder.name))}
 
 
 def sha256_of(path: Path) -> str:

@@ -63,13 +63,13 @@ def overlap_s(spans: Mapping[str, Span]) -> float:
     return max(0, *shared) / _NS_PER_S if shared else 0.0
 
 
-def nearest_times(times_ns: IntArray, targets_ns: IntArray, tolerance_ns: int) -> list[int | None]:
+def nearest_times(times_ns: IntArray, targets_ns: IntArray, tolerance_ns: int | IntArray) -> list[int | None]:
     """For each target the nearest time, the earlier of two equally near; None where none is within the tolerance.
 
     Args:
         times_ns: (N,) ascending.
         targets_ns: (M,).
-        tolerance_ns: largest distance.
+        tolerance_ns: largest distance; one, or (M,).
     """
     if not len(times_ns):
         return [None] * len(targets_ns)

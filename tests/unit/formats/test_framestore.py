@@ -114,7 +114,8 @@ def test_frames_are_kept_by_the_cameras_own_clock(tmp_path: Path) -> None:
     assert (dict(instant.frame_times_ns), dict(instant.local_times_ns)) == ({"a": 3}, {"a": 500})
     assert np.array_equal(store.image("a", 0), store.image_at("a", 500))
     assert store.image_at("a", 540)[20, 20, 0] == pytest.approx(90, abs=3)
-    assert (store.damaged("a"), store.damaged("b"), store.damaged("c")) == ({580, 620}, {7}, set())
+    assert [store.damaged_ns(camera_id).tolist() for camera_id in "abc"] == [[580, 620], [7], []]
+    assert store.stored_ns("a").tolist() == [500, 540]
     for local_ns in (580, 600):
         with pytest.raises(KeyError):
             store.image_at("a", local_ns)

@@ -7,7 +7,7 @@ import pytest
 from tests.builders import site_of
 from wibam_core.config import PipelineConfig
 from wibam_core.errors import UnknownOption
-from wibam_core.site import Origin
+from wibam_core.site import Origin, SignalRegion
 from wibam_core.stages.graph import STAGES, InputDigests, PlannedStage, downstream, plan
 
 DIGESTS = InputDigests({"cam1": "a", "cam2": "b", "cam3": "c", "cam4": "d"}, {"labels": "e"})
@@ -38,6 +38,29 @@ def test_an_option_changes_its_stage_and_all_after_it_alone() -> None:
     assert changed(sync={"method": "none"}) == set(STAGES) - {"preflight", "calibrate"}
 
 
+@pytest.mark.parametrize(
+    ("options", "frames_anew"),
+    [
+        ({"sync": {"method": "none"}}, set()),
+        ({"preflight": {"min_overlap_s": 1.0}}, {"detect"}),  # whose timestamps say what shows the background
+        ({"frames": {"rate_hz": 5.0}}, set()),
+        ({"detect": {"rate_hz": 2.0}}, set()),
+        ({"frames": {"width_px": 640}}, {"frames", "detect"}),
+        ({"frames": {"jpeg_quality": 70}}, {"frames", "detect"}),
+        ({"detect": {"min_score": 0.5}}, {"detect"}),
+        ({"detect": {"background_s": 60.0}}, {"detect"}),
+    ],
+)
+def test_clocks_and_rates_change_nothing_that_is_made_of_a_frame(
+    options: dict[str, object], frames_anew: set[str]
+) -> None:
+    before = plan(site_of(), PipelineConfig(), DIGESTS)
+    after = plan(site_of(), PipelineConfig.parse(options), DIGESTS)
+    assert {a.name for a, b in zip(after, before, strict=True) if a.frame_hash != b.frame_hash} == frames_anew
+    assert {stage.name for stage in after if stage.frame_hash is not None} == {"frames", "detect"}
+    assert "detect" in changed(**options)
+
+
 def test_labels_only_change_what_checks_them_and_what_evaluates() -> None:
     """New labels must be checked before anything long begins, and must not train anything again."""
     without = InputDigests(DIGESTS.recordings, {})
@@ -53,6 +76,19 @@ def test_a_new_recording_changes_everything_that_looks_at_videos() -> None:
     other = InputDigests({**DIGESTS.recordings, "cam2": "x"}, DIGESTS.assets)
     before, after = (plan(site_of(), PipelineConfig(), d) for d in (DIGESTS, other))
     assert [a.name for a, b in zip(after, before, strict=True) if a.hash == b.hash] == ["calibrate"]
+
+
+def test_a_new_recording_changes_what_is_made_of_a_frame_and_a_signal_region_does_not() -> None:
+    other = InputDigests({**DIGESTS.recordings, "cam2": "x"}, DIGESTS.assets)
+    first, *rest = site_of().cameras
+    region = SignalRegion(id="north", region=(0, 0, 9, 9))
+    signals = site_of().model_copy(update={"cameras": (first.model_copy(update={"signals": (region,)}), *rest)})
+    hashes = [
+        {stage.name: stage.frame_hash for stage in plan(site, PipelineConfig(), digests)}
+        for site, digests in ((site_of(), DIGESTS), (site_of(), other), (signals, DIGESTS))
+    ]
+    assert hashes[0] == hashes[2]
+    assert all(hashes[0][stage] != hashes[1][stage] for stage in ("frames", "detect"))
 
 
 def test_renaming_the_site_changes_the_report_alone() -> None:

@@ -14,6 +14,7 @@ from pathlib import Path
 import pytest
 
 from tests.builders import corner_rig, site_of
+from wibam_core.artifacts.access import MANIFEST
 from wibam_core.config import PipelineConfig
 from wibam_core.stages import runner
 from wibam_core.stages.store import StageStore
@@ -208,3 +209,20 @@ def test_what_another_process_made_meanwhile_is_taken(tmp_path: Path, monkeypatc
     result = runner.run_pipeline(folder, store, PipelineConfig(), told.append, until="preflight")
     assert result.summaries == {"preflight": {"made": "elsewhere"}}
     assert [update.state for update in told] == ["running", "reused"] and "waiting" in told[0].message
+
+
+def test_an_attempt_is_told_of_earlier_outputs_that_hold_the_same_of_a_frame(tmp_path: Path) -> None:
+    store = StageStore(tmp_path)
+    of = {number: f"{number}" * 64 for number in range(5)}
+    for number, frame_hash in ((0, "same"), (1, "other"), (2, "same"), (3, None)):
+        folder = store.publish(store.begin("frames", of[number], frame_hash), {}, 0.0)
+        os.utime(folder / MANIFEST, (number, number))
+    store.begin("frames", of[4], "same")  # not published
+    attempt = store.begin("frames", of[4], "same")
+    assert attempt.earlier == (store.find("frames", of[2]), store.find("frames", of[0]))  # the newest first
+    assert store.begin("detect", of[4], "same").earlier == ()
+    assert store.begin("frames", of[4]).earlier == ()
+    assert store.addresses_with("frames", "same") == {("frames", of[0][:32]), ("frames", of[2][:32])}
+    store.remove("frames", of[2])
+    (folder / MANIFEST).write_text("{")
+    assert store.begin("frames", of[4], "same").earlier == (store.find("frames", of[0]),)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import sys
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -48,7 +48,7 @@ class Service:
         self.store = StageStore(self.folder.stages)
         self.dispatched: list[StageKey] = []
 
-    def job(self, recording: Path, stages: int = 1) -> Job:
+    def job(self, recording: Path, stages: int = 1, **more: Mapping[str, object]) -> Job:
         """A job with the first stages of the real pipeline, on one short recording for both cameras."""
         site = self.sites.add_site(site_of())
         files = []
@@ -58,7 +58,7 @@ class Service:
             self.folder.upload(upload.id).write_bytes(recording.read_bytes())
             suffix = self.folder.finish(upload.id)
             files.append(self.sites.complete_upload(upload, suffix=suffix, sha256=sha256_of(recording)))
-        options = {"preflight": {"min_overlap_s": 1.0}}
+        options = {"preflight": {"min_overlap_s": 1.0}, **more}
         plan: list[PlannedStage] = plan_stages(site.site, options, files)[:stages]
         return self.jobs.create(site, options, files, plan)[0]
 

@@ -14,6 +14,7 @@ from tests.recordings import write_recording
 from tests.unit.worker.service import LIMITS, PREFLIGHT, Service, key, run_instead, wait_for
 from wibam_core.adapters.job_rows import StageKey
 from wibam_core.adapters.lease_store import LeaseStore
+from wibam_core.adapters.planning import plan_stages
 from wibam_core.artifacts.access import ArtifactReader
 from wibam_core.artifacts.catalogue import PROBE
 from wibam_core.jobs.leases import LeasePolicy
@@ -116,6 +117,26 @@ class TestWarnings:
         [stage] = service.jobs.job(job.id).stages
         assert stage.state is StageState.FAILED
         assert stage.warnings == (AMBIGUOUS,)
+
+
+class TestEarlierOutputs:
+    def test_frames_that_are_there_are_not_read_again(self, service: Service, recording: Path, tmp_path: Path) -> None:
+        """A restart with another rate leaves the old frames without a job: they stay until the new ones are made."""
+        job = service.job(recording, stages=4, sync={"method": "none"})
+        for stage in job.stages:
+            assert service.runner().run(StageKey(job.id, stage.name))
+        (old,) = service.store.root.glob("frames-*")
+        options = {**job.options, "frames": {"rate_hz": 5.0}}
+        service.jobs.restart(job.id, options, plan_stages(job.site, options, job.files)[:4])
+        service.runner().run(key(service.job(write_recording(tmp_path / "other.mp4", width_px=640, height_px=360))))
+        assert old.exists()
+        for file in job.files:
+            service.folder.file(file).write_bytes(b"no film")
+        assert service.runner().run(StageKey(job.id, "frames"))
+        stage = service.jobs.job(job.id).stage("frames")
+        assert stage is not None
+        assert (stage.state, stage.summary and stage.summary["instants"]) == (StageState.SUCCEEDED, 8)
+        assert not old.exists()
 
 
 class TestLeftovers:
