@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 
 import numpy as np
 
@@ -24,11 +24,15 @@ from wibam_core.progress import Progress, part, silent
 from wibam_core.road_users import CLASSES
 from wibam_core.scene import AnnotatedInstant, CameraRig, FloatArray, IntArray, MultiViewVehicle
 
+#: The rays of so many instants are clustered together.
+_TOGETHER = 500
+
 
 @dataclass(frozen=True, eq=False)
 class _Rays:
-    """Ground points of all boxes of one instant: N boxes that lie in range."""
+    """Ground points of all boxes that lie in range: N boxes, in the order of instants and then of cameras."""
 
+    instants: IntArray  # (N,) number of the instant, ascending
     points: FloatArray  # (N, 2)
     covariances: FloatArray  # (N, 2, 2)
     cameras: IntArray  # (N,) number of the camera in the rig
@@ -36,6 +40,18 @@ class _Rays:
     times_ns: IntArray  # (N,) exposure
     scores: FloatArray  # (N,)
     classes: IntArray  # (N,)
+
+    def __len__(self) -> int:
+        return len(self.instants)
+
+    def rows_of(self, numbers: range) -> slice:
+        """Where the rays of consecutive instants are."""
+        return slice(*np.searchsorted(self.instants, [numbers.start, numbers.stop]).tolist())
+
+    def of(self, numbers: range) -> _Rays:
+        """The rays of consecutive instants."""
+        rows = self.rows_of(numbers)
+        return _Rays(*(getattr(self, field.name)[rows] for field in fields(self)))
 
 
 @dataclass(frozen=True, eq=False)
@@ -69,8 +85,8 @@ def associate(
         NoVehicles: no box in range at any instant.
         NoMultiViewVehicles: no vehicle seen by two cameras at once.
     """
-    rays = [_instant_rays(instant, rig, config.range_m) for instant in instants]
-    if not any(len(r.rows) for r in rays):
+    all_rays = _rays(instants, rig, config.range_m)
+    if not len(all_rays):
         boxes = sum(len(d) for instant in instants for d in instant.detections.values())
         raise NoVehicles(
             f"{boxes} boxes in {len(instants)} instants, none of them on the ground within {config.range_m:g} m"
@@ -78,14 +94,18 @@ def associate(
             else f"no vehicle was detected in any of {len(instants)} instants",
             boxes=boxes,
         )
-    clusters = []
-    clustering = part(progress, 0.0, 0.8)
-    for index, instant_rays in enumerate(rays):
-        if index % 50 == 0:
-            clustering(index / len(rays), "clustering rays")
-        clusters.append(_cluster(instant_rays, config.cluster_radius_m))
+    rays, labels, clustering = [], [], part(progress, 0.0, 0.8)
+    for first in range(0, len(instants), _TOGETHER):
+        clustering(first / len(instants), "clustering rays")
+        some = range(first, min(first + _TOGETHER, len(instants)))
+        own = all_rays.of(some)
+        spreads = own.covariances / POINT_SD_M**2
+        found = constrained_dp_means(own.points, own.cameras, spreads, own.instants, config.cluster_radius_m)
+        for number in some:
+            rays.append(own.of(range(number, number + 1)))
+            labels.append(found[own.rows_of(range(number, number + 1))])
     progress(0.8, "following over time")
-    vehicles = _followed(instants, rays, clusters, tuple(rig), config.max_gap_s)
+    vehicles = _followed(instants, rays, labels, tuple(rig), config.max_gap_s)
     clusters = [_clusters(r, np.unique(v, return_inverse=True)[1]) for r, v in zip(rays, vehicles, strict=True)]
     tracks = stitch([c.sightings for c in clusters], [np.unique(v) for v in vehicles], config)
     classes = _track_classes(clusters, tracks)
@@ -119,40 +139,48 @@ def association_statistics(instants: Sequence[AnnotatedInstant]) -> AssociationS
     )
 
 
-def _instant_rays(instant: AnnotatedInstant, rig: CameraRig, range_m: float) -> _Rays:
+def _rays(instants: Sequence[AnnotatedInstant], rig: CameraRig, range_m: float) -> _Rays:
     centre = rig_centre(rig)
-    parts: list[tuple[FloatArray, FloatArray, IntArray, IntArray, IntArray, FloatArray, IntArray]] = []
+    none = np.empty(0, np.int64)
+    parts = [_Rays(none, np.empty((0, 2)), np.empty((0, 2, 2)), none, none, none, np.empty(0), none)]
     for number, (camera_id, camera) in enumerate(rig.items()):
-        seen = instant.detections.get(camera_id)
-        if seen is None or len(seen) == 0:
+        seen = [(k, i.detections[camera_id]) for k, i in enumerate(instants) if camera_id in i.detections]
+        if not seen:
             continue
-        points = ground_points(camera, seen)
-        rows = np.flatnonzero(within_range(points, centre, range_m))
+        counts = np.array([len(d) for _, d in seen])
+        boxes = np.concatenate([d.whole_boxes for _, d in seen])
+        classes = np.concatenate([d.classes for _, d in seen])
+        points = ground_points(camera, boxes, classes)
+        near = np.flatnonzero(within_range(points, centre, range_m))
+        rows = np.arange(len(boxes)) - np.repeat(np.cumsum(counts) - counts, counts)
         parts.append(
-            (
-                points[rows],
-                ground_covariances(camera, seen.where(rows), points[rows]),
-                np.full(len(rows), number),
-                rows,
-                np.full(len(rows), seen.frame_time_ns),
-                seen.scores[rows],
-                seen.classes[rows],
+            _Rays(
+                np.repeat([k for k, _ in seen], counts)[near],
+                points[near],
+                ground_covariances(camera, boxes[near], classes[near], points[near]),
+                np.full(len(near), number),
+                rows[near],
+                np.repeat([d.frame_time_ns for _, d in seen], counts)[near],
+                np.concatenate([d.scores for _, d in seen])[near],
+                classes[near],
             )
         )
-    if not parts:
-        none, nothing = np.empty(0, dtype=np.int64), np.empty(0)
-        return _Rays(np.empty((0, 2)), np.empty((0, 2, 2)), none, none, none, nothing, none)
-    return _Rays(*(np.concatenate(column) for column in zip(*parts, strict=True)))
+    columns = [np.concatenate([getattr(p, field.name) for p in parts]) for field in fields(_Rays)]
+    order = np.argsort(columns[0], kind="stable")
+    return _Rays(*(column[order] for column in columns))
 
 
 def _followed(
     instants: Sequence[AnnotatedInstant],
     rays: Sequence[_Rays],
-    clusters: Sequence[_Clusters],
+    labels: Sequence[IntArray],
     camera_ids: tuple[str, ...],
     max_gap_s: float,
 ) -> list[IntArray]:
-    """For every instant the vehicle (N,) that each ray belongs to, over all instants, counted from 0."""
+    """For every instant the vehicle (N,) that each ray belongs to, over all instants, counted from 0.
+
+    The labels (N,) of an instant's rays say which cluster each is in.
+    """
     numbers = tracklets(instants, camera_ids, max_gap_s)
     of_rays = [
         np.array([found[camera_ids[c]][row] for c, row in zip(r.cameras, r.rows, strict=True)], dtype=np.int64)
@@ -162,13 +190,9 @@ def _followed(
     cameras = np.zeros(count, dtype=np.int64)
     for r, ids in zip(rays, of_rays, strict=True):
         cameras[ids] = r.cameras
-    vehicle = group(of_rays, [c.labels for c in clusters], cameras)
+    vehicle = group(of_rays, labels, cameras)
     in_range = np.unique(np.concatenate([vehicle[ids] for ids in of_rays]))  # others are of no vehicle
     return [np.searchsorted(in_range, vehicle[ids]) for ids in of_rays]
-
-
-def _cluster(rays: _Rays, radius_m: float) -> _Clusters:
-    return _clusters(rays, constrained_dp_means(rays.points, rays.cameras, rays.covariances / POINT_SD_M**2, radius_m))
 
 
 def _clusters(rays: _Rays, labels: IntArray) -> _Clusters:

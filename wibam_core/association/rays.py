@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 from wibam_core.geometry.camera import Camera
 from wibam_core.geometry.ground import intersect_plane
 from wibam_core.road_users import CLASSES
-from wibam_core.scene import CameraRig, Detections2D, FloatArray
+from wibam_core.scene import CameraRig, FloatArray, IntArray
 
 #: (classes,) in the order of `CLASSES`: height of the plane that the ray is met with, m.
 _PLANE_HEIGHTS_M: FloatArray = np.array([c.traits.plane_height_m for c in CLASSES])
@@ -25,33 +25,36 @@ _HEIGHT_SD_SHARE = 0.2
 _LARGEST_SD_M = 6.0
 
 
-def ground_points(camera: Camera, detections: Detections2D) -> FloatArray:
+def ground_points(camera: Camera, boxes: FloatArray, classes: IntArray) -> FloatArray:
     """Ground position (N, 2) in m of each of N detections; NaN where its ray never meets the plane.
 
     The ray goes through the middle of the image box. A cuboid is symmetric about its centre, so that (perspective
     within the vehicle aside) the middle of its image box shows that centre from every side and at every pitch; a
     body that narrows upwards has it somewhat lower. A row nearer to the bottom would be biased towards the camera,
     and cameras on opposite sides would disagree by twice the bias.
+
+    Args:
+        camera: that detected them.
+        boxes: (N, 4) xyxy, px, around whole vehicles where that is known (`Detections2D.whole_boxes`).
+        classes: (N,).
     """
-    boxes = detections.whole_boxes
     middles = 0.5 * (boxes[:, :2] + boxes[:, 2:])
-    return intersect_plane(camera, middles, _PLANE_HEIGHTS_M[detections.classes])[:, :2]
+    return intersect_plane(camera, middles, _PLANE_HEIGHTS_M[classes])[:, :2]
 
 
-def ground_covariances(camera: Camera, detections: Detections2D, points: FloatArray) -> FloatArray:
-    """(N, 2, 2) covariances, m², of finite ground points (N, 2) of N detections.
+def ground_covariances(camera: Camera, boxes: FloatArray, classes: IntArray, points: FloatArray) -> FloatArray:
+    """(N, 2, 2) covariances, m², of finite `ground_points` (N, 2) of N detections.
 
     They are long along the ray where it is flat: a pixel, or a vehicle taller than usual, then means metres.
     """
     offset = points - camera.centre_m[:2]
     distance = np.maximum(np.linalg.norm(offset, axis=-1), 1e-6)
-    plane = _PLANE_HEIGHTS_M[detections.classes]
+    plane = _PLANE_HEIGHTS_M[classes]
     above = np.maximum(camera.centre_m[2] - plane, 0.5)
-    boxes = detections.whole_boxes
     row_px = np.hypot(_ROW_SD_PX, _ROW_SD_SHARE * (boxes[:, 3] - boxes[:, 1]))
     by_row = (distance**2 + above**2) / above * row_px / camera.K[1, 1]
     by_height = distance / above * _HEIGHT_SD_SHARE * plane
-    base = POINT_SD_M * _PLACE_SCALES[detections.classes]
+    base = POINT_SD_M * _PLACE_SCALES[classes]
     along = np.minimum(np.sqrt(base**2 + by_row**2 + by_height**2), np.maximum(_LARGEST_SD_M, base))
     direction = offset / distance[:, None]
     outer = direction[:, :, None] * direction[:, None, :]

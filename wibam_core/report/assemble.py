@@ -255,7 +255,7 @@ def _clustered(instant: AnnotatedInstant, rig: CameraRig) -> ClusteredInstant:
         seen = instant.detections[camera_id]
         of_box = [cluster_of.get((camera_id, row), -1) for row in range(len(seen))]
         kept = [row for row, cluster in enumerate(of_box) if cluster >= 0]
-        points.append(ground_points(camera, seen)[kept])
+        points.append(ground_points(camera, seen.whole_boxes, seen.classes)[kept])
         cameras += [number] * len(kept)
         clusters += [of_box[row] for row in kept]
     return ClusteredInstant(
