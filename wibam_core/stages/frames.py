@@ -1,4 +1,4 @@
-"""Read the frames of all cameras at common instants, once."""
+"""Read the frames of all cameras at common instants, each frame once."""
 
 from __future__ import annotations
 
@@ -201,7 +201,7 @@ def _read_all(
                 for future in done:
                     future.result()
                 stored, copied = (sum(counts) for counts in zip(*((c.stored, c.copied) for c in cameras), strict=True))
-                message = f"{stored} frames, {copied} of them read before" if copied else f"{stored} frames"
+                message = f"{stored} frames, {copied} of them were there" if copied else f"{stored} frames"
                 context.progress(sum(camera.seen for camera in cameras) / total, message)
         finally:
             stop.set()
@@ -215,8 +215,9 @@ def _read(
         if stop.is_set():
             return
         found_ns = expected_ns
-        if expected_ns is None or not _copy(camera, expected_ns, earlier, writer):
-            frame = one_pass.nearest(target.local_ns, target.tolerance_ns) if expected_ns is not None else None
+        copied = expected_ns is not None and _copy(camera.id, expected_ns, earlier, writer)
+        if expected_ns is not None and not copied:
+            frame = one_pass.nearest(target.local_ns, target.tolerance_ns)
             found_ns = None if frame is None else frame.time_ns
             if frame is not None:
                 writer.add_frame(camera.id, frame.time_ns, frame.image_bgr)
@@ -225,6 +226,7 @@ def _read(
             frame_time_ns = int(camera.clock.to_reference_ns(found_ns))
             writer.add_to_instant(target.instant_ns, camera.id, found_ns, frame_time_ns)
             camera.stored += 1
+            camera.copied += copied
         camera.seen += 1
     writer.add_damaged(camera.id, camera.damaged)
 
@@ -237,14 +239,13 @@ def _expected(camera: _Camera, earlier: Sequence[FrameStore]) -> list[int | None
     return nearest_times(times_ns, targets_ns, np.array([target.tolerance_ns for target in camera.targets], np.int64))
 
 
-def _copy(camera: _Camera, local_ns: int, earlier: Sequence[FrameStore], writer: FrameStoreWriter) -> bool:
+def _copy(camera_id: str, local_ns: int, earlier: Sequence[FrameStore], writer: FrameStoreWriter) -> bool:
     """Copy a frame from where it is; returns whether it is anywhere."""
     for store in earlier:
         try:
-            jpeg = store.jpeg_at(camera.id, local_ns)
+            jpeg = store.jpeg_at(camera_id, local_ns)
         except (KeyError, InputError):  # not there, damaged, or removed meanwhile
             continue
-        writer.add_jpeg(camera.id, local_ns, jpeg, store.size(camera.id))
-        camera.copied += 1
+        writer.add_jpeg(camera_id, local_ns, jpeg, store.size(camera_id))
         return True
     return False
