@@ -32,6 +32,7 @@ from wibam_core.geometry.box3d import SIZE, SIZE_XY, XY, YAW
 from wibam_core.geometry.boxes2d import clipped_to_image, image_iou, sides_px
 from wibam_core.geometry.iou import bev_iou_paired, iou_3d_paired
 from wibam_core.lifting.lift import lift
+from wibam_core.models.taught import TAUGHT
 from wibam_core.road_users import CLASSES
 from wibam_core.scene import AnnotatedInstant, CameraRig, Detections2D, LabelledInstant, MultiViewVehicle, Vehicles3D
 from wibam_core.synthetic.cameras import site_cameras
@@ -140,7 +141,7 @@ def _jittered(drawing: Drawing, classes: Sequence[int], rng: np.random.Generator
         owners.append(k)
         boxes.append(noisy)
         scores.append(rng.uniform(0.5, 1.0))
-        labels.append(int(rng.integers(len(CLASSES))) if rng.random() < WRONG_CLASS_RATE else true_class)
+        labels.append(int(rng.integers(len(TAUGHT))) if rng.random() < WRONG_CLASS_RATE else true_class)
     for _ in range(rng.poisson(FALSE_PER_IMAGE)):
         corner = rng.uniform([0, 100], [SIZE_PX[0] - 60, SIZE_PX[1] - 40])
         owners.append(-1)

@@ -39,6 +39,7 @@ CONFLICT = ConflictRow(
     measures={"delta_speed_mps": 10.0, "stopping_share": 0.85},
 )
 METRICS = Metrics(
+    not_asked_for=["motorcycle", "bicycle", "pedestrian"],
     options={"min_score": 0.25},
     labels="none",
     labelled_instants=LabelledInstants(given=0, in_test_part=0, test_from_s=40.0, test_to_s=50.0),

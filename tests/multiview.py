@@ -14,7 +14,7 @@ import numpy as np
 from tests.builders import corner_rig
 from wibam_core.geometry.box3d import vehicle_to_world
 from wibam_core.geometry.boxes2d import clipped_to_image
-from wibam_core.road_users import CLASSES, RoadUserClass
+from wibam_core.road_users import RoadUserClass
 from wibam_core.scene import AnnotatedInstant, CameraRig, Detections2D, MultiViewVehicle, Vehicles3D
 
 SIZES = {
@@ -22,7 +22,15 @@ SIZES = {
     RoadUserClass.VAN: (5.4, 2.0, 2.2),
     RoadUserClass.TRUCK: (7.8, 2.5, 3.2),
     RoadUserClass.BUS: (11.8, 2.55, 3.1),
+    RoadUserClass.MOTORCYCLE: (2.1, 0.8, 1.6),
+    RoadUserClass.BICYCLE: (1.75, 0.62, 1.75),
+    RoadUserClass.PEDESTRIAN: (0.75, 0.6, 1.75),
 }
+#: Shares of vehicles in traffic.
+_MOTOR_TRAFFIC = {RoadUserClass.CAR: 0.75, RoadUserClass.VAN: 0.12, RoadUserClass.TRUCK: 0.08, RoadUserClass.BUS: 0.05}
+
+
+Points = list[tuple[float, float, float]]
 
 
 @dataclass(frozen=True, eq=False)
@@ -52,6 +60,34 @@ class Actor:
 
 
 def body(vehicle_class: RoadUserClass, size: np.ndarray, rng: np.random.Generator) -> tuple[np.ndarray, ...]:
+    """Convex parts in the vehicle frame, m."""
+    if vehicle_class is RoadUserClass.PEDESTRIAN:
+        parts = _person(0.0, 0.5)
+    elif vehicle_class in (RoadUserClass.BICYCLE, RoadUserClass.MOTORCYCLE):
+        parts = _two_wheels(0.1 if vehicle_class is RoadUserClass.BICYCLE else 0.3)
+    else:
+        parts = _motor_vehicle(vehicle_class, rng)
+    return tuple(np.array(part) * size - np.array([0, 0, size[2] / 2]) for part in parts)
+
+
+def _person(low: float, half_stride: float) -> list[Points]:
+    """Legs from the height ``low`` up, a trunk with arms, and a head."""
+    hips = [(x, y, 0.52) for x in (0.2, -0.2) for y in (0.3, -0.3)]
+    legs = [(half_stride, 0.15, low), (-half_stride, -0.15, low), *hips]
+    trunk = [(x, y, z) for x in (0.25, -0.25) for y, z in ((0.42, 0.5), (0.5, 0.8), (-0.5, 0.8), (-0.42, 0.5))]
+    head = [(x, y, z) for x in (0.15, -0.15) for y in (0.14, -0.14) for z in (0.86, 1.0)]
+    return [legs, trunk, head]
+
+
+def _two_wheels(half_width: float) -> list[Points]:
+    """Two wheels and a frame, and who sits on it."""
+    rims = [(-0.5, 0.2), (-0.3, 0.0), (0.3, 0.0), (0.5, 0.2), (0.3, 0.42), (-0.3, 0.42)]
+    wheels = [(x, side * half_width, z) for x, z in rims for side in (1, -1)]
+    bar = [(0.28, 0.5, 0.58), (0.28, -0.5, 0.58), (0.2, 0.5, 0.62), (0.2, -0.5, 0.62)]
+    return [wheels, bar, *([(0.5 * x, y, z) for x, y, z in part] for part in _person(0.2, 0.3))]
+
+
+def _motor_vehicle(vehicle_class: RoadUserClass, rng: np.random.Generator) -> list[Points]:
     """Convex parts: a chamfered hull on wheels, and a cabin or box that narrows upwards."""
     boxy = vehicle_class in (RoadUserClass.BUS, RoadUserClass.TRUCK)
     cut = rng.uniform(0.02, 0.04) if boxy else rng.uniform(0.05, 0.09)
@@ -75,7 +111,7 @@ def body(vehicle_class: RoadUserClass, size: np.ndarray, rng: np.random.Generato
         parts.append(
             [(x, s * 0.46, z) for x, z in ((0.5, belt), (0.26, belt), (0.47, 0.72), (0.26, 0.75)) for s in (1, -1)]
         )
-    return tuple(np.array(part) * size - np.array([0, 0, size[2] / 2]) for part in parts)
+    return parts
 
 
 def _path(start: float, turn: float, lane_m: float) -> np.ndarray:
@@ -127,12 +163,29 @@ def traffic(seed: int, duration_s: float, *, start_s: float = -12.0) -> list[Act
                 times, along = _leader(rng, clock + rng.uniform(0, 2), 46.0, wait)
                 gap = 0.0
                 for n in range(rng.integers(1, 4)):
-                    kind = rng.choice(np.array(CLASSES, dtype=object), p=[0.75, 0.12, 0.08, 0.05])
+                    kind = rng.choice(np.array(list(_MOTOR_TRAFFIC), dtype=object), p=list(_MOTOR_TRAFFIC.values()))
                     size = np.array(SIZES[kind]) * np.exp(rng.normal(0, [0.07, 0.03, 0.05]))
                     gap += (size[0] / 2 + 2.0) if n else 0.0
                     actors.append(Actor(kind, size, body(kind, size, rng), path, times + 1.3 * n, along - gap))
                     gap += size[0] / 2
         clock += 13.0
+    return actors
+
+
+def people() -> list[Actor]:
+    """Two who walk towards each other past one who stands, a cyclist each way and a motorcyclist."""
+    rng = np.random.default_rng(3)
+    times = np.arange(0, 60, 0.5)
+    walks = {(-9.0, 9.0): 1.3, (9.0, 9.6): -1.4, (3.0, 7.6): 0.0}
+    rides = {(-20.0, -3.0): (RoadUserClass.BICYCLE, 4.5), (20.0, 4.5): (RoadUserClass.BICYCLE, -5.0)}
+    rides[-26.0, -6.5] = (RoadUserClass.MOTORCYCLE, 8.0)
+    going = [(at, RoadUserClass.PEDESTRIAN, speed) for at, speed in walks.items()]
+    going += [(at, kind, speed) for at, (kind, speed) in rides.items()]
+    actors = []
+    for (x, y), kind, speed in going:
+        size = np.array(SIZES[kind]) * np.exp(rng.normal(0, [0.05, 0.05, 0.04]))
+        way = np.array([[x, y], [x + (-100.0 if speed < 0 else 100.0), y]])
+        actors.append(Actor(kind, size, body(kind, size, rng), way, times, 0.6 + abs(speed) * times))
     return actors
 
 
@@ -187,7 +240,7 @@ def record(
                 noisy[2:] = np.maximum(noisy[2:], noisy[:2] + 1)
                 views.setdefault(k, {})[camera_id] = len(boxes)
                 right = rng.random() >= class_error
-                classes.append(actors[k].vehicle_class.number if right else rng.integers(len(CLASSES)))
+                classes.append(actors[k].vehicle_class.number if right else rng.integers(len(_MOTOR_TRAFFIC)))
                 scores.append(rng.uniform(0.5, 1.0))
                 boxes.append(noisy)
             for _ in range(rng.poisson(false_rate)):

@@ -34,7 +34,7 @@ class TinyNetwork:
 
     default_rates: Mapping[str, float] = {"lifted": 0.05}
     states_sd = False
-    teachable = frozenset({RoadUserClass.CAR.number})
+    known = frozenset({RoadUserClass.CAR})
 
     def __init__(self, card: ModelCard = CARD) -> None:
         self.card = card

@@ -281,6 +281,13 @@ class SafetyConfig(StageConfig):
         description="road users whose footprints ever overlap by more (IoU) are an error of tracking: nobody stands in"
         " another",
     )
+    max_overlap_share: float = Field(
+        0.5,
+        ge=0,
+        le=1,
+        description="the same of a vehicle and somebody on foot or on two wheels, by the share of the smaller footprint"
+        " that the other covers",
+    )
     same_direction_deg: float = Field(
         30.0,
         gt=0,

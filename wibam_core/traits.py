@@ -92,6 +92,29 @@ class Driving:
 
 
 @dataclass(frozen=True)
+class Walking:
+    """How a class moves that turns on the spot and steps to any side (`tracking.walking`).
+
+    Attributes:
+        turn_rad_per_m: it turns by about this much per metre that it walks.
+        acceleration_mps2: standard deviation of what is not foreseen, along either axis of the ground.
+        yaw_drift_rad: of the yaw, per √s. position_drift_m: of the place, per √s.
+        first_speed_sd_mps: along either axis, of one that was seen once.
+    """
+
+    turn_rad_per_m: float
+    acceleration_mps2: float
+    yaw_drift_rad: float
+    position_drift_m: float
+    first_speed_sd_mps: float
+
+    @property
+    def axle_m(self) -> float:
+        """No axle: it is the centre that moves along the course."""
+        return 0.0
+
+
+@dataclass(frozen=True)
 class Traits:
     """What is known of a class of road users.
 
@@ -104,6 +127,8 @@ class Traits:
             the middle of a usual body.
         place_scale: how far a ground point from an image box lies off, as a multiple of a car's.
         motion: how it moves.
+        vulnerable: whether nothing protects it (pedestrians and riders, by the European Union's directive 2010/40/EU).
+            Detections of which one is and one is not are never taken for the same road user.
         colour: ``#rrggbb`` in figures, told apart by colour-blind readers.
         elsewhere: its names in other vocabularies.
     """
@@ -112,7 +137,8 @@ class Traits:
     body: Outline
     plane_height_m: float
     place_scale: float
-    motion: Driving
+    motion: Driving | Walking
+    vulnerable: bool
     colour: str
     elsewhere: NamesElsewhere
 

@@ -21,7 +21,7 @@ from wibam_core.config import AssociateConfig
 from wibam_core.documents.statistics import AssociationStatistics
 from wibam_core.errors import NoMultiViewVehicles, NoVehicles
 from wibam_core.progress import Progress, part, silent
-from wibam_core.road_users import CLASSES
+from wibam_core.road_users import CLASSES, VULNERABLE
 from wibam_core.scene import AnnotatedInstant, CameraRig, FloatArray, IntArray, MultiViewVehicle
 
 #: The rays of so many instants are clustered together.
@@ -99,8 +99,7 @@ def associate(
         clustering(first / len(instants), "clustering rays")
         some = range(first, min(first + _TOGETHER, len(instants)))
         own = all_rays.of(some)
-        spreads = own.covariances / POINT_SD_M**2
-        found = constrained_dp_means(own.points, own.cameras, spreads, own.instants, config.cluster_radius_m)
+        found = _clustered(own, config.cluster_radius_m)
         for number in some:
             rays.append(own.of(range(number, number + 1)))
             labels.append(found[own.rows_of(range(number, number + 1))])
@@ -193,6 +192,20 @@ def _followed(
     vehicle = group(of_rays, labels, cameras)
     in_range = np.unique(np.concatenate([vehicle[ids] for ids in of_rays]))  # others are of no vehicle
     return [np.searchsorted(in_range, vehicle[ids]) for ids in of_rays]
+
+
+def _clustered(rays: _Rays, radius_m: float) -> IntArray:
+    """The cluster (N,) in its instant of each ray: those of vehicles, then those of people on foot or on two wheels."""
+    labels = np.empty(len(rays), dtype=np.int64)
+    count = 0
+    for vulnerable in (False, True):
+        own = np.flatnonzero(VULNERABLE[rays.classes] == vulnerable)
+        spreads = rays.covariances[own] / POINT_SD_M**2
+        labels[own] = count + constrained_dp_means(
+            rays.points[own], rays.cameras[own], spreads, rays.instants[own], radius_m
+        )
+        count = int(labels[own].max(initial=count - 1)) + 1
+    return labels
 
 
 def _clusters(rays: _Rays, labels: IntArray) -> _Clusters:

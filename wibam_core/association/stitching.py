@@ -18,6 +18,7 @@ from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
 from wibam_core.config import AssociateConfig
+from wibam_core.road_users import VULNERABLE
 from wibam_core.scene import FloatArray, IntArray
 
 #: The end of a track is what was seen of it within this time.
@@ -40,7 +41,8 @@ class Sightings:
 
     Attributes:
         times_ns: (N,) when each position holds. positions: (N, 2), m. sd_m: (N,) of the positions.
-        classes: (N,) class indices; a change of class makes it less likely that a vehicle is the same.
+        classes: (N,) class indices; a change of class makes it less likely that a vehicle is the same, and between
+            vehicles and people on foot or on two wheels there is none.
     """
 
     times_ns: IntArray
@@ -96,6 +98,7 @@ def stitch(instants: Sequence[Sightings], tracks: Sequence[IntArray], config: As
     earlier, later = _candidates(ends.times_s, begins.times_s, longest_s)
     cost = _costs(_of(ends, earlier), _of(begins, later), config)
     cost += _CLASS_CHANGE_COST * (usual[earlier] != usual[later])
+    cost[VULNERABLE[usual[earlier]] != VULNERABLE[usual[later]]] = np.inf
     near = cost <= _MOST_COST
     earlier, later = _matched(earlier[near], later[near], cost[near] - _MOST_COST - 1e-9, count)
     name = np.arange(count)

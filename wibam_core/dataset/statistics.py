@@ -27,11 +27,12 @@ def dataset_statistics(instants: Sequence[AnnotatedInstant], rig: CameraRig, spl
     vehicles = [(instant, vehicle) for instant in used for vehicle in multi_view(instant)]
     depth, elevation = _view_geometry((vehicle for _, vehicle in vehicles), rig)
     tracks = Counter(vehicle.track_id for _, vehicle in vehicles if vehicle.track_id >= 0)
+    classes = Counter(vehicle.vehicle_class for _, vehicle in vehicles)
     cameras = Counter(camera_id for _, vehicle in vehicles for camera_id in vehicle.views)
     return DatasetStatistics(
         subsets={name: _subset(name, [i for i in used if subset_of[i.time_ns] == name], split) for name in SUBSETS},
         by_views=_counts(len(vehicle.views) for _, vehicle in vehicles),
-        by_class={c.value: sum(vehicle.vehicle_class is c for _, vehicle in vehicles) for c in CLASSES},
+        by_class={c.value: classes[c] for c in CLASSES if classes[c]},
         boxes_by_camera={camera_id: cameras[camera_id] for camera_id in rig},
         depth_m=_histogram(depth, 5.0),
         elevation_deg=_histogram(elevation, 2.5),

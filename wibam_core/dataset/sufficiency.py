@@ -67,9 +67,9 @@ def training_sufficiency(
 
     Args:
         method: as ``finetune.method``: 'paper' learns from 2D boxes of vehicles that two cameras see, the others from
-            3D labels.
+            fits.
         instants: all of the recordings.
-        lifts: the 3D labels.
+        lifts: the fits, which are pseudo-labels.
         split: which of them are the training part.
     """
     vehicles = paired_vehicles(instants, split) if method == "paper" else taught_vehicles(lifts, split)
@@ -89,7 +89,7 @@ def sufficiency(vehicles: int, footage_s: float) -> Sufficiency:
 
 
 def taught_vehicles(lifts: Sequence[Vehicles3D], split: Split) -> int:
-    """Distinct vehicles of the training part with a 3D label that counts."""
+    """Distinct vehicles of the training part with a fit that counts."""
     times, left_out = set(split.times_ns["train"]), split.left_out_tracks["train"]
     tracks = {
         track

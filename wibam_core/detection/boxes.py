@@ -30,6 +30,10 @@ class Found(NamedTuple):
     scores: FloatArray
     classes: IntArray
 
+    def where(self, rows: IntArray) -> Found:
+        """The selected boxes, in the order of ``rows``."""
+        return Found(self.boxes[rows], self.scores[rows], self.classes[rows])
+
 
 def select(boxes: FloatArray, scores: FloatArray, classes: IntArray, size: tuple[int, int], max_iou: float) -> Found:
     """Clip boxes to the image of ``size`` (width, height) px, drop empty ones and duplicates."""
@@ -38,4 +42,4 @@ def select(boxes: FloatArray, scores: FloatArray, classes: IntArray, size: tuple
     sound = (sides_px(clipped) >= _MIN_SIDE_PX).all(axis=1)
     clipped, scores, classes = clipped[sound], scores[sound], classes[sound]
     kept = non_maximum_suppression(clipped, scores, max_iou)
-    return Found(clipped[kept], scores[kept], classes[kept])
+    return Found(clipped, scores, classes).where(kept)

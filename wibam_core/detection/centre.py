@@ -2,15 +2,13 @@
 
 from __future__ import annotations
 
-import json
-
 import numpy as np
 import onnxruntime
 
-from wibam_core.detection.boxes import Found, Image, IntArray, select
+from wibam_core.detection.boxes import Found, Image, select
+from wibam_core.detection.metadata import network_classes
 from wibam_core.errors import InvalidWeights
 from wibam_core.geometry.pixels import resized_height_px, resized_image, resized_px, scale_of
-from wibam_core.road_users import CLASSES
 
 #: What the file's metadata calls this kind of network.
 FAMILY = "wibam-centre"
@@ -37,7 +35,7 @@ class CentreDetector:
         nms_iou: of two boxes that overlap more, the weaker is left out.
 
     Raises:
-        InvalidWeights: the network lacks these outputs or knows other classes.
+        InvalidWeights: the network lacks these outputs, or does not name its classes, or one that we do not know.
     """
 
     def __init__(self, session: onnxruntime.InferenceSession, *, min_score: float, nms_iou: float) -> None:
@@ -48,11 +46,16 @@ class CentreDetector:
                 f"the {FAMILY} detector has no {', '.join(sorted(names))}", hint="Use the detector as it was exported."
             )
         self._session = session
-        self._classes = _class_numbers(session)
+        self.classes = network_classes(session, f"the {FAMILY} detector")
+        self._numbers = np.array([c.number for c in self.classes], dtype=np.int64)
         self._min_score, self._nms_iou = min_score, nms_iou
 
     def detect(self, image_bgr: Image) -> Found:
-        """Vehicles in an image (H, W, 3) uint8, BGR, in its own pixels."""
+        """Vehicles in an image (H, W, 3) uint8, BGR, in its own pixels.
+
+        Raises:
+            InvalidWeights: the network has heat for more or fewer classes than it names.
+        """
         height, width = image_bgr.shape[:2]
         content = resized_height_px(width, height, INPUT_WIDTH_PX)
         padded = content + -content % _HEIGHT_MULTIPLE
@@ -60,29 +63,15 @@ class CentreDetector:
         blob = np.zeros((1, 3, padded, INPUT_WIDTH_PX), dtype=np.float32)
         np.divide(image.transpose(2, 0, 1), 255.0, out=blob[0, :, :content], casting="unsafe")
         heat, ltrb = self._session.run(["heat", "ltrb"], {"image": blob})
+        if len(heat[0]) != len(self.classes):
+            raise InvalidWeights(
+                f"the {FAMILY} detector names {len(self.classes)} classes and has heat for {len(heat[0])}",
+                hint="Use the detector as it was exported.",
+            )
         numbers, rows, columns = np.nonzero(heat[0] >= self._min_score)
         scores = heat[0, numbers, rows, columns].astype(np.float64)
         sides = STRIDE * ltrb[0, :, rows, columns].astype(np.float64).reshape(-1, 4)
         centres = resized_px(np.stack([columns, rows], axis=1), STRIDE)
         boxes = np.concatenate([centres - sides[:, :2], centres + sides[:, 2:]], axis=1)
         native = resized_px(boxes, scale_of((INPUT_WIDTH_PX, content), (width, height), 4))
-        return select(native, scores, self._classes[numbers], (width, height), self._nms_iou)
-
-
-def _class_numbers(session: onnxruntime.InferenceSession) -> IntArray:
-    """(C,) our class of each of the network's, by name; networks without names have ours in order."""
-    named = session.get_modelmeta().custom_metadata_map.get("classes")
-    if named is None:
-        return np.arange(len(CLASSES), dtype=np.int64)
-    known = {vehicle.value: vehicle.number for vehicle in CLASSES}
-    try:
-        names = [str(name) for name in json.loads(named)]
-    except (ValueError, TypeError):
-        names = [named]
-    unknown = sorted(set(names) - set(known))
-    if unknown:
-        raise InvalidWeights(
-            f"the {FAMILY} detector knows a class {unknown[0]!r}, which we do not",
-            hint=f"The classes are {', '.join(known)}.",
-        )
-    return np.array([known[name] for name in names], dtype=np.int64)
+        return select(native, scores, self._numbers[numbers], (width, height), self._nms_iou)

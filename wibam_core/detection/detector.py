@@ -13,16 +13,22 @@ from wibam_core.detection.boxes import Found, Image
 from wibam_core.detection.centre import CentreDetector, is_centre_model
 from wibam_core.detection.yolox import YOLOX_FILES, YoloxDetector, is_yolox_model
 from wibam_core.errors import InvalidWeights
+from wibam_core.road_users import RoadUserClass
 
 #: The detector that comes with the project; learned from simulated images.
 BUNDLED = Path(__file__).resolve().parent.parent / "models" / "bundled" / "detector2d.onnx"
 
 
 class Detector(Protocol):
-    """Finds vehicles in an image."""
+    """Finds road users in an image."""
+
+    @property
+    def classes(self) -> tuple[RoadUserClass, ...]:
+        """What it looks for; other road users are not found, or taken for one of these."""
+        ...
 
     def detect(self, image_bgr: Image) -> Found:
-        """Vehicles in an image (H, W, 3) uint8, BGR, in its own pixels."""
+        """Road users in an image (H, W, 3) uint8, BGR, in its own pixels."""
 
 
 @dataclass(frozen=True)

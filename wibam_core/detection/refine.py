@@ -8,8 +8,9 @@ import numpy as np
 import onnxruntime
 
 from wibam_core.detection.background import StillBackground
-from wibam_core.detection.boxes import FloatArray, Found, Image
+from wibam_core.detection.boxes import FloatArray, Found, Image, IntArray
 from wibam_core.detection.crops import blob
+from wibam_core.detection.metadata import network_classes
 from wibam_core.geometry.boxes2d import clipped_to_image, non_maximum_suppression, sides_px
 from wibam_core.scene import Boxes2D
 
@@ -26,12 +27,18 @@ _SD_OF_ABSOLUTE_ERROR = 1.25
 
 
 class EdgeRefiner:
-    """Runs the bundled refiner (`wibam_core.models.refiner2d`) on one thread."""
+    """Runs the bundled refiner (`wibam_core.models.refiner2d`) on one thread.
+
+    Attributes:
+        classes: what it has learned the edges of. Boxes of other classes stay as they are.
+    """
 
     def __init__(self, path: Path = BUNDLED_REFINER) -> None:
         options = onnxruntime.SessionOptions()
         options.intra_op_num_threads = options.inter_op_num_threads = 1
         self._session = onnxruntime.InferenceSession(str(path), options, providers=["CPUExecutionProvider"])
+        self.classes = network_classes(self._session, "the edge refiner")
+        self._numbers = np.array([c.number for c in self.classes], dtype=np.int64)
 
     def refine(
         self,
@@ -45,6 +52,8 @@ class EdgeRefiner:
     ) -> Boxes2D:
         """The boxes with better edges, and amodal ones, in the order given; what turns out to be found twice goes.
 
+        Boxes of classes that the refiner does not know stay as they are, without amodal ones.
+
         Args:
             image_bgr: (H, W, 3) uint8.
             background: of the same camera and size.
@@ -53,24 +62,36 @@ class EdgeRefiner:
             classify: give the boxes the refiner's classes, too.
             passes: how often each box is looked at, where the last look left it. Boxes that are near need one.
         """
-        if not len(found.boxes):
-            return Boxes2D(*found, np.empty((0, 4)), np.empty((0, 4)))
+        boxes, classes = found.boxes.copy(), found.classes.copy()
+        amodal, sd = np.full((2, len(boxes), 4), np.nan)
+        known = np.isin(classes, self._numbers)
+        rows = np.flatnonzero(known)
+        if len(rows):
+            boxes[rows], amodal[rows], sd[rows], alike = self._looked_at(image_bgr, background, boxes[rows], passes)
+            if classify:
+                classes[rows] = alike
+        twice = np.setdiff1d(rows, rows[non_maximum_suppression(boxes[rows], found.scores[rows], nms_iou)])
+        kept = np.delete(np.arange(len(boxes)), twice)
+        return Boxes2D(boxes[kept], found.scores[kept], classes[kept], amodal[kept], sd[kept])
+
+    def _looked_at(
+        self, image_bgr: Image, background: StillBackground, found: FloatArray, passes: int
+    ) -> tuple[FloatArray, FloatArray, FloatArray, IntArray]:
+        """Sharper boxes (N, 4), amodal ones (N, 4) and their standard deviations, px, and the classes (N,) that they
+        look like, of N > 0 boxes found (N, 4)."""
         height, width = image_bgr.shape[:2]
-        boxes, classes = found.boxes, found.classes
+        boxes = found
         for _ in range(passes):
             crops, windows = blob(image_bgr, background.layers, boxes)
             edges, reach, log_scale, logits = (
                 values.astype(np.float64) for values in self._session.run(_OUTPUTS, {"image": crops})
             )
             seen = np.stack([w.to_px(e) for w, e in zip(windows, edges, strict=True)])
-            boxes = _moved(found.boxes, clipped_to_image(seen, width, height))
-            if classify:
-                classes = logits.argmax(axis=1).astype(np.int64)
+            boxes = _moved(found, clipped_to_image(seen, width, height))
         sides = np.tile(np.array([window.size for window in windows], dtype=np.float64), (1, 2))
         amodal = clipped_to_image(boxes + _OUTWARD * reach * sides, width, height)
         sd = _SD_OF_ABSOLUTE_ERROR * np.exp(log_scale) * sides
-        kept = np.sort(non_maximum_suppression(boxes, found.scores, nms_iou))
-        return Boxes2D(boxes[kept], found.scores[kept], classes[kept], amodal[kept], sd[kept])
+        return boxes, amodal, sd, self._numbers[logits.argmax(axis=1)]
 
 
 def _moved(boxes: FloatArray, wanted: FloatArray) -> FloatArray:

@@ -2,13 +2,17 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
+from dataclasses import dataclass
+
 import cv2
 import numpy as np
 import onnxruntime
 from numpy.typing import NDArray
 
-from wibam_core.detection.boxes import FloatArray, Found, Image, select
-from wibam_core.road_users import CLASSES
+from wibam_core.detection.boxes import FloatArray, Found, Image, IntArray, select
+from wibam_core.detection.riders import road_users
+from wibam_core.road_users import CLASSES, RoadUserClass
 
 #: What files of this family are, after "an ONNX file of".
 YOLOX_FILES = (
@@ -16,16 +20,40 @@ YOLOX_FILES = (
     "with a cell per 8, 16 and 32 px"
 )
 STRIDES = (8, 16, 32)
-_COCO_CLASSES = 80
 #: What moves, by COCO's index: the first of its 80 names.
 _COCO_NAMES = ("person", "bicycle", "car", "motorcycle", "airplane", "bus", "train", "truck", "boat")
-#: COCO's index and our class of each road user that both know. COCO has no vans: they come as cars or trucks.
-_KNOWN = sorted((_COCO_NAMES.index(name), c.number) for c in CLASSES for name in c.traits.elsewhere.coco.read)
-_KNOWN_INDICES, _CLASS_NUMBERS = np.array(_KNOWN, dtype=np.int64).T
 #: Aeroplanes and boats do not drive on roads: seen from above, a vehicle is often taken for one. They count as
 #: vehicles, of whichever of our classes comes next.
-_TAKEN_FOR = np.array([_COCO_NAMES.index("airplane"), _COCO_NAMES.index("boat")])
-_COUNTED = np.concatenate([_KNOWN_INDICES, _TAKEN_FOR])
+_TAKEN_FOR = ("airplane", "boat")
+
+
+@dataclass(frozen=True, eq=False)
+class _Kind:
+    """Classes that are told apart only once something is found to be one of them.
+
+    Attributes:
+        counted: COCO's indices of all that count as one. known: those that are a class of ours.
+        classes: our class of each of the latter.
+    """
+
+    counted: IntArray
+    known: IntArray
+    classes: IntArray
+
+    @classmethod
+    def of(cls, road_users: Iterable[RoadUserClass], taken_for: Iterable[str] = ()) -> _Kind:
+        """Those of our classes that COCO knows. It has no vans: they come as cars or trucks."""
+        known = sorted((_COCO_NAMES.index(name), c.number) for c in road_users for name in c.traits.elsewhere.coco.read)
+        indices, classes = np.array(known, dtype=np.int64).T
+        others = np.array([_COCO_NAMES.index(name) for name in taken_for], dtype=np.int64)
+        return cls(np.concatenate([indices, others]), indices, classes)
+
+
+_RIDDEN = (RoadUserClass.BICYCLE, RoadUserClass.MOTORCYCLE)
+_VEHICLES = _Kind.of((c for c in CLASSES if not c.traits.vulnerable), _TAKEN_FOR)
+_TWO_WHEELERS = _Kind.of(_RIDDEN)
+_PERSONS = _Kind.of((RoadUserClass.PEDESTRIAN,))
+_COCO_CLASSES = 80
 _PADDING = 114
 #: Largest exponent of a side: e^12 px is wider than any image, and nothing overflows.
 _MAX_LOG_SIDE = 12.0
@@ -47,9 +75,12 @@ class YoloxDetector:
 
     Args:
         session: for which `is_yolox_model` holds.
-        min_score: objectness times the probability of being any vehicle, of a box that is kept.
+        min_score: objectness times the probability of being any of a kind, of a box that is kept.
         nms_iou: of two boxes that overlap more, the weaker is left out.
     """
+
+    #: What it looks for.
+    classes = tuple(CLASSES[number] for kind in (_VEHICLES, _TWO_WHEELERS, _PERSONS) for number in kind.classes)
 
     def __init__(self, session: onnxruntime.InferenceSession, *, min_score: float, nms_iou: float) -> None:
         self._session = session
@@ -59,21 +90,27 @@ class YoloxDetector:
         self._min_score, self._nms_iou = min_score, nms_iou
 
     def detect(self, image_bgr: Image) -> Found:
-        """Cars, buses and trucks in an image (H, W, 3) uint8, BGR, in its own pixels."""
+        """Road users in an image (H, W, 3) uint8, BGR, in its own pixels."""
         height, width = image_bgr.shape[:2]
         boxed = letterbox(image_bgr, self._width, self._height)
         blob = np.ascontiguousarray(boxed.transpose(2, 0, 1)[None], dtype=np.float32)
         (output,) = self._session.run(None, {self._input: blob})
-        scale = min(self._width / width, self._height / height)
         raw = output[0].astype(np.float64)
+        vehicles, two_wheelers, persons = (
+            self._found(kind, raw, (width, height)) for kind in (_VEHICLES, _TWO_WHEELERS, _PERSONS)
+        )
+        return road_users(vehicles, two_wheelers, persons, self._nms_iou)
+
+    def _found(self, kind: _Kind, raw: FloatArray, size: tuple[int, int]) -> Found:
+        """What of a kind the output says is in an image of ``size`` px."""
         probabilities = np.clip(raw[:, 5:], 0.0, 1.0)
-        # classes are independent sigmoids: a vehicle is what is at least one of them
-        score = np.clip(raw[:, 4], 0.0, 1.0) * (1.0 - (1.0 - probabilities[:, _COUNTED]).prod(axis=1))
-        numbers = _CLASS_NUMBERS[probabilities[:, _KNOWN_INDICES].argmax(axis=1)]
+        # classes are independent sigmoids: of the kind is what is at least one of its classes
+        score = np.clip(raw[:, 4], 0.0, 1.0) * (1.0 - (1.0 - probabilities[:, kind.counted]).prod(axis=1))
+        classes = kind.classes[probabilities[:, kind.known].argmax(axis=1)]
         good = np.flatnonzero(score >= self._min_score)
-        boxes = self._decode(raw, good) / scale
+        boxes = self._decode(raw, good) / min(self._width / size[0], self._height / size[1])
         # COCO's pixels begin where ours have their half: its (0, 0) is the corner of the first pixel
-        return select(boxes - 0.5, score[good], numbers[good], (width, height), self._nms_iou)
+        return select(boxes - 0.5, score[good], classes[good], size, self._nms_iou)
 
     def _decode(self, raw: FloatArray, rows: NDArray[np.int64]) -> FloatArray:
         """Boxes xyxy (N, 4) of some rows of the output, px of the network's input."""

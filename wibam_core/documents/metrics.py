@@ -138,6 +138,8 @@ class Metrics(Document):
     """Options of the evaluate stage, by name."""
     labels: Literal["hand", "none"]
     labelled_instants: LabelledInstants
+    not_asked_for: list[str]
+    """Road users that the networks do not know: where they are labelled or seen, they count nowhere."""
     instants: int
     frames: int
     baseline: DetectorFigures | None = None

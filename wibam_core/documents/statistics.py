@@ -15,6 +15,9 @@ class DetectionStatistics(Document):
     boxes: int
     boxes_by_camera: dict[str, int]
     boxes_by_class: dict[str, int]
+    """Of the classes that the detector knows."""
+    unknown_classes: list[str]
+    """Road users that the detector does not know: they are not found, or taken for one of another class."""
 
 
 class AssociationStatistics(Document):

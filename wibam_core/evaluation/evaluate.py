@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Collection, Iterable, Mapping
 from dataclasses import dataclass, replace
 from typing import Literal
 
@@ -15,6 +15,7 @@ from wibam_core.evaluation.matching import match_in_image, match_on_ground, pape
 from wibam_core.evaluation.metrics import MatchMetrics, alias_share, box_errors, compare, compare_as_published
 from wibam_core.geometry.box3d import XY, Z
 from wibam_core.geometry.camera import Camera
+from wibam_core.road_users import CLASSES, RoadUserClass, may_be_one
 from wibam_core.scene import LabelledInstant, Vehicles3D
 
 Array = NDArray[np.float64]
@@ -73,6 +74,7 @@ def evaluate(
     rig: Mapping[str, Camera],
     config: EvaluateConfig,
     mode: Mode = "correct",
+    classes: Collection[RoadUserClass] = CLASSES,
 ) -> Evaluation:
     """Compare detections with labels, each frame at its own time.
 
@@ -83,8 +85,14 @@ def evaluate(
         rig: camera id -> camera.
         config: which labels count and how near a match is; ``paper_compat`` uses its own published rules.
         mode: see `match_on_ground` and `match_in_image`.
+        classes: what the network knows; labels of others are no concern of its.
     """
-    labelled = ((found, instant) for found in predictions if (instant := labels.at(found.time_ns)) is not None)
+    numbers = np.array([road_user.number for road_user in classes], dtype=np.int64)
+    labelled = (
+        (found, _of_classes(instant, numbers))
+        for found in predictions
+        if (instant := labels.at(found.time_ns)) is not None
+    )
     frames = [
         _compare_frame(number, found, instant, rig[str(found.camera_id)], config, mode)
         for number, (found, instant) in enumerate(labelled)
@@ -128,7 +136,9 @@ def _compare_frame(
         found = found.where(found.scores >= config.min_score)
         in_range = np.linalg.norm(found.boxes[:, XY] - camera.centre_m[:2], axis=1) <= config.max_range_m
         counts = (visibility > config.min_visibility) & (distance <= config.max_range_m)
-        match = match_on_ground(labels.boxes, counts, found.boxes, config.match_distance_m)
+        match = match_on_ground(
+            labels.boxes, counts, found.boxes, config.match_distance_m, may_be_one(labels.classes, found.classes)
+        )
         false_positives = match.false_positives[in_range[match.false_positives]]
         match = replace(match, false_positives=false_positives)
     unnamed = -1 - (number * _MOST_LABELS + np.arange(len(labels)))
@@ -142,6 +152,13 @@ def _compare_frame(
         _take(sightings, match.missed),
         len(match.false_positives),
     )
+
+
+def _of_classes(instant: LabelledInstant, numbers: Indices) -> LabelledInstant:
+    """What is labelled of these classes."""
+    own = np.isin(instant.vehicles.classes, numbers)
+    visibility = {camera_id: np.asarray(seen)[own] for camera_id, seen in instant.visibility.items()}
+    return LabelledInstant(instant.vehicles.where(own), visibility)
 
 
 def _take(sightings: Sightings, rows: Indices) -> Sightings:

@@ -51,7 +51,13 @@ def assign(cost: Array, limit: float) -> tuple[Indices, Indices]:
     return rows[near].astype(np.int64), columns[near].astype(np.int64)
 
 
-def match_on_ground(labels: Array, counts: NDArray[np.bool_], detections: Array, max_distance_m: float) -> FrameMatch:
+def match_on_ground(
+    labels: Array,
+    counts: NDArray[np.bool_],
+    detections: Array,
+    max_distance_m: float,
+    possible: NDArray[np.bool_] | None = None,
+) -> FrameMatch:
     """Optimal assignment by the distance of centres in the ground plane.
 
     Labels that do not count (hidden, far away) take part, so that the detection of one is not credited to another
@@ -62,8 +68,11 @@ def match_on_ground(labels: Array, counts: NDArray[np.bool_], detections: Array,
         counts: (M,) which of them a detector is asked for.
         detections: (N, 7).
         max_distance_m: a pair this far apart or farther is no match.
+        possible: (M, N) which pairs may be one road user; None: all.
     """
     distance = np.linalg.norm(labels[:, None, XY] - detections[None, :, XY], axis=-1)
+    if possible is not None:
+        distance = np.where(possible, distance, np.inf)
     near = distance < max_distance_m
     rows, columns = assign(distance, max_distance_m)
     hits = counts[rows]

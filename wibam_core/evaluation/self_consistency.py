@@ -6,7 +6,7 @@ that all views share, and sizes that are small in every view alike, stay hidden.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Collection, Iterable, Mapping
 from typing import NamedTuple
 
 import numpy as np
@@ -19,6 +19,7 @@ from wibam_core.geometry.box3d import X, Y
 from wibam_core.geometry.boxes2d import image_iou
 from wibam_core.geometry.camera import Camera
 from wibam_core.geometry.projection import project_boxes
+from wibam_core.road_users import CLASSES, RoadUserClass
 from wibam_core.scene import AnnotatedInstant, Vehicles3D
 
 Array = NDArray[np.float64]
@@ -52,7 +53,10 @@ class Agreement(NamedTuple):
 
 
 def self_consistency(
-    predictions: Iterable[Vehicles3D], annotations: Iterable[AnnotatedInstant], rig: Mapping[str, Camera]
+    predictions: Iterable[Vehicles3D],
+    annotations: Iterable[AnnotatedInstant],
+    rig: Mapping[str, Camera],
+    classes: Collection[RoadUserClass] = CLASSES,
 ) -> Consistency:
     """Image IoU of predictions with the 2D boxes of the views that they were not made in, and how smoothly they move.
 
@@ -60,8 +64,9 @@ def self_consistency(
         predictions: one entry per camera and instant; ``time_ns`` is the instant.
         annotations: automatic multi-view vehicles of the same instants.
         rig: camera id -> camera.
+        classes: what the network knows; the annotations' other vehicles are no concern of its.
     """
-    found, asked = agreements(predictions, annotations, rig)
+    found, asked = agreements(predictions, annotations, rig, classes)
     others = np.array([iou for one in found for iou in one.other_ious])
     return Consistency(
         other_views=mean_sd(others),
@@ -73,14 +78,17 @@ def self_consistency(
 
 
 def agreements(
-    predictions: Iterable[Vehicles3D], annotations: Iterable[AnnotatedInstant], rig: Mapping[str, Camera]
+    predictions: Iterable[Vehicles3D],
+    annotations: Iterable[AnnotatedInstant],
+    rig: Mapping[str, Camera],
+    classes: Collection[RoadUserClass] = CLASSES,
 ) -> tuple[list[Agreement], int]:
     """All predicted boxes of multi-view vehicles, and in how many views those could have been found."""
     by_frame = {(found.time_ns, found.camera_id): found for found in predictions}
     result: list[Agreement] = []
     asked = 0
     for instant in annotations:
-        vehicles = [vehicle for vehicle in instant.vehicles if len(vehicle.views) >= 2]
+        vehicles = [one for one in instant.vehicles if len(one.views) >= 2 and one.vehicle_class in classes]
         for camera_id, detected in instant.detections.items():
             found = by_frame.get((instant.time_ns, camera_id))
             seen = [vehicle for vehicle in vehicles if camera_id in vehicle.views]

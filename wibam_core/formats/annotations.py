@@ -15,6 +15,7 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 
 from wibam_core.formats.detections import AMODAL_BOX, AMODAL_SD, BOX
+from wibam_core.formats.tables import class_named
 from wibam_core.road_users import CLASSES
 from wibam_core.scene import AnnotatedInstant, Detections2D, MultiViewVehicle
 
@@ -83,7 +84,11 @@ def write_annotations(path: Path, instants: Iterable[AnnotatedInstant]) -> None:
 
 
 def read_annotations(path: Path) -> list[AnnotatedInstant]:
-    """Read what `write_annotations` wrote, sorted by time."""
+    """Read what `write_annotations` wrote, sorted by time.
+
+    Raises:
+        InputError: it names a class that is not in the catalogue.
+    """
     rows = pq.read_table(path, schema=SCHEMA).to_pylist()
     return [_instant(time_ns, list(group)) for time_ns, group in groupby(rows, key=lambda r: r["time_ns"])]
 
@@ -100,7 +105,7 @@ def _instant(time_ns: int, rows: list[dict[str, Any]]) -> AnnotatedInstant:
             frame[0]["frame_time_ns"],
             np.array([[r[name] for name in BOX] for r in boxes]),
             np.array([r["score"] for r in boxes]),
-            np.array([_CLASS[r["class"]].number for r in boxes], dtype=np.int64),
+            np.array([class_named(r["class"]).number for r in boxes], dtype=np.int64),
             *(
                 np.array([[r[name] for name in names] for r in boxes], dtype=np.float64)
                 for names in (AMODAL_BOX, AMODAL_SD)
@@ -113,12 +118,9 @@ def _instant(time_ns: int, rows: list[dict[str, Any]]) -> AnnotatedInstant:
             vehicles[r["obj_id"]] = MultiViewVehicle(
                 r["obj_id"],
                 r["track_id"],
-                _CLASS[r["vehicle_class"]],
+                class_named(r["vehicle_class"]),
                 r["vehicle_x_m"],
                 r["vehicle_y_m"],
                 views[r["obj_id"]],
             )
     return AnnotatedInstant(time_ns, detections, tuple(vehicles[i] for i in sorted(vehicles)))
-
-
-_CLASS = {c.value: c for c in CLASSES}

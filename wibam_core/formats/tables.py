@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from wibam_core.errors import InputError
 from wibam_core.geometry.box3d import BOX_FIELDS
-from wibam_core.road_users import CLASSES
+from wibam_core.road_users import CLASSES, RoadUserClass
 
 Array = NDArray[np.float64]
 
@@ -54,15 +54,30 @@ def stack_columns(table: pa.Table, names: Sequence[str]) -> Array:
 
 
 def class_indices(table: pa.Table, error: type[InputError] = InputError) -> NDArray[np.int64]:
-    """(N,) indices into `CLASSES` of the column ``class``."""
-    by_name = {cls.value: cls.number for cls in CLASSES}
+    """(N,) indices into `CLASSES` of the column ``class``.
+
+    Raises:
+        InputError: it names a class that is not in the catalogue; an ``error``.
+    """
     names = table["class"].cast(pa.string()).to_pylist()
-    unknown = sorted({str(name) for name in names} - set(by_name))
-    if unknown:
+    numbers = {name: class_named(str(name), error).number for name in set(names)}
+    return np.array([numbers[name] for name in names], dtype=np.int64)
+
+
+def class_named(name: str, error: type[InputError] = InputError) -> RoadUserClass:
+    """The class of road users that a file names.
+
+    Raises:
+        InputError: it is not in the catalogue; an ``error``.
+    """
+    found = next((road_user for road_user in CLASSES if road_user == name), None)
+    if found is None:
         raise error(
-            f"unknown vehicle class {unknown[0]!r}", hint=f"The classes are {', '.join(by_name)}.", classes=unknown
+            f"{name!r} is no class of road users that this version knows",
+            hint=f"The classes are {', '.join(CLASSES)}: correct the name, or use the version that wrote the file.",
+            classes=[name],
         )
-    return np.array([by_name[name] for name in names], dtype=np.int64)
+    return found
 
 
 def write_table(path: Path, table: pa.Table, *, empty_instants: Iterable[tuple[int, str | None]] = ()) -> None:

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from wibam_core.errors import InvalidWeights
-from wibam_core.road_users import CLASSES
+from wibam_core.road_users import CLASSES, RoadUserClass
 
 IntArray = NDArray[np.int64]
 
@@ -42,6 +42,11 @@ class ClassChannels:
         if len(set(names)) < len(names):
             raise InvalidWeights(f"{source} names a class twice: {', '.join(names)}", field="classes")
         return cls(np.array([known[name] for name in names], dtype=np.int64))
+
+    @property
+    def known(self) -> frozenset[RoadUserClass]:
+        """The classes."""
+        return frozenset(CLASSES[number] for number in self.numbers)
 
     @property
     def channel_of(self) -> IntArray:

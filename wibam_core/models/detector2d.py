@@ -9,8 +9,8 @@ import torch
 from torch import Tensor, nn
 from torch.nn import functional
 
+from wibam_core.models.taught import TAUGHT
 from wibam_core.models.trunk import Trunk, TrunkShape, conv_block
-from wibam_core.road_users import CLASSES
 
 DETECTOR_SHAPE = TrunkShape(channels=(16, 16, 32, 64, 128), blocks=(0, 1, 1, 1), neck=32, refine=True)
 
@@ -27,7 +27,7 @@ class Detector2D(nn.Module):
         super().__init__()
         self.trunk = Trunk(shape)
         self.shared = conv_block(shape.neck, _HEAD_CHANNELS)
-        self.heat = nn.Conv2d(_HEAD_CHANNELS, len(CLASSES), 1)
+        self.heat = nn.Conv2d(_HEAD_CHANNELS, len(TAUGHT), 1)
         self.log_ltrb = nn.Conv2d(_HEAD_CHANNELS, 4, 1)
         nn.init.constant_(self.heat.get_parameter("bias"), -2.94)
         nn.init.constant_(self.log_ltrb.get_parameter("bias"), 1.3)

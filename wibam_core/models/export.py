@@ -14,13 +14,13 @@ from torch import Tensor, nn
 
 from wibam_core.models.detector2d import Detector2D, ExportedDetector2D
 from wibam_core.models.refiner2d import Refiner2D, RefinerOutputs
+from wibam_core.models.taught import TAUGHT
 from wibam_core.models.trunk import STRIDE
-from wibam_core.road_users import CLASSES
 
 _DETECTOR_FAMILY = "wibam-centre"
 _REFINER_FAMILY = "wibam-edges"
 _OPSET = 18
-_CLASSES = json.dumps([str(vehicle) for vehicle in CLASSES])
+_CLASSES = json.dumps([str(vehicle) for vehicle in TAUGHT])
 
 
 def export_detector2d(detector: Detector2D, path: Path, width_px: int = 512, height_px: int = 288) -> None:

@@ -8,6 +8,7 @@ from typing import Protocol
 from wibam_core.documents.model_card import ModelCard
 from wibam_core.models.frames import Frame
 from wibam_core.placing import Decode
+from wibam_core.road_users import RoadUserClass
 from wibam_core.scene import Vehicles3D
 
 
@@ -16,10 +17,15 @@ class Network(Protocol):
 
     Attributes:
         card: what its file says about it.
+        known: the road users that it finds, and can be taught, under their own name or one that is close to it. Others
+            are never asked of it.
     """
 
     @property
     def card(self) -> ModelCard: ...
+
+    @property
+    def known(self) -> frozenset[RoadUserClass]: ...
 
     def predict_each(
         self, frames: Iterable[Frame], *, decodes: Sequence[Decode], min_score: float

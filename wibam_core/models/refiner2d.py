@@ -12,8 +12,8 @@ import torch
 from torch import Tensor, nn
 from torch.nn import functional
 
+from wibam_core.models.taught import TAUGHT
 from wibam_core.models.trunk import ResidualBlock, conv_block
-from wibam_core.road_users import CLASSES
 
 _INPUTS = 7
 _CHANNELS = (16, 32, 64, 96)
@@ -70,7 +70,7 @@ class Refiner2D(nn.Module):
         )
         self.places = nn.ModuleList(nn.Conv1d(_PROFILE, 2, 1) for _ in range(2))
         self.beyond = nn.Sequential(nn.Linear(_PROFILE + _CHANNELS[-1] + 4, _HIDDEN), nn.ReLU(), nn.Linear(_HIDDEN, 2))
-        self.classes = nn.Linear(_CHANNELS[-1], len(CLASSES))
+        self.classes = nn.Linear(_CHANNELS[-1], len(TAUGHT))
         with torch.no_grad():  # at first, edges are nearly all in sight, and off by 3 %
             self.beyond[-1].get_parameter("bias").copy_(torch.tensor([-0.5, -3.5]))
 

@@ -8,7 +8,8 @@ Noise makes conflicts where there are none, so that a pair counts only when
 - braking softly would not do: a queue that rolls up to a red light has short times to collision too.
 Instants at which the footprints already overlap are left out: boxes may be a little too large, and a true crash shows
 very short times to collision just before. Pairs that overlap deeply, and tracks that lasted too short a time to know
-their speed, are left out as a whole: they are one vehicle tracked twice, or none.
+their speed, are left out as a whole: they are one road user tracked twice, or none. So are two who walk: they pass and
+accompany each other closer than any threshold.
 """
 
 from __future__ import annotations
@@ -22,7 +23,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from wibam_core.config import SafetyConfig
-from wibam_core.geometry.box3d import WIDTH, XY, YAW
+from wibam_core.geometry.box3d import LENGTH, WIDTH, XY, YAW
 from wibam_core.geometry.iou import bev_iou_paired
 from wibam_core.geometry.se3 import normalise_angle
 from wibam_core.progress import Progress, silent
@@ -36,6 +37,7 @@ from wibam_core.safety.ttc import time_to_collision
 from wibam_core.safety.turning import TurningStates, collide_turning
 from wibam_core.safety.uncertainty import Interval, pet_interval, ttc_draws
 from wibam_core.scene import Track
+from wibam_core.traits import Walking
 
 Array = NDArray[np.float64]
 
@@ -114,7 +116,7 @@ def find_conflicts(
 def _conflict(
     a: Track, b: Track, instants: PairInstants, config: SafetyConfig, rng: np.random.Generator
 ) -> Conflict | None:
-    if (bev_iou_paired(a.boxes[instants.index_a], b.boxes[instants.index_b]) > config.max_overlap_iou).any():
+    if _both_walk(a, b) or _overlap_deeply(a, b, instants, config):
         return None
     encroachment = _encroachment(a, b, config)
     run = _closest_run(a, b, instants, config)
@@ -149,6 +151,22 @@ def _conflict(
         heading_difference_rad=difference,
         measures=measured(Encounter(boxes, velocities, ttc)),
     )
+
+
+def _both_walk(a: Track, b: Track) -> bool:
+    return all(isinstance(track.vehicle_class.traits.motion, Walking) for track in (a, b))
+
+
+def _overlap_deeply(a: Track, b: Track, instants: PairInstants, config: SafetyConfig) -> bool:
+    """Whether the footprints ever do: by their IoU, or, of two as unlike as a pedestrian and a bus, by what is covered
+    of the smaller one."""
+    boxes_a, boxes_b = a.boxes[instants.index_a], b.boxes[instants.index_b]
+    iou = bev_iou_paired(boxes_a, boxes_b)
+    if a.vehicle_class.traits.vulnerable == b.vehicle_class.traits.vulnerable:
+        return bool((iou > config.max_overlap_iou).any())
+    areas = np.stack([boxes[:, LENGTH] * boxes[:, WIDTH] for boxes in (boxes_a, boxes_b)])
+    common = iou * areas.sum(axis=0) / (1.0 + iou)
+    return bool((common > config.max_overlap_share * areas.min(axis=0)).any())
 
 
 def _closest_run(

@@ -73,7 +73,7 @@ def run(context: StageContext, config: DetectConfig) -> Summary:
     context.progress(1.0, f"{len(missing)} of {len(frames)} frames were new")
     context.write(DETECTIONS, detected)
     context.write(SEARCHED_INSTANTS, instants)
-    statistics = detection_statistics(annotated(instants, detected), store.camera_ids)
+    statistics = detection_statistics(annotated(instants, detected), store.camera_ids, detector.classes)
     context.write(DETECTION_STATISTICS, statistics)
     return statistics.model_dump()
 

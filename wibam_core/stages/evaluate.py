@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from typing import Any
 
@@ -35,6 +35,7 @@ from wibam_core.models.weights import bundled
 from wibam_core.networks.registry import family_of, load_to_detect
 from wibam_core.placing import Decode
 from wibam_core.progress import Progress, part
+from wibam_core.road_users import CLASSES, RoadUserClass
 from wibam_core.scene import CameraRig, FrameSet, Vehicles3D
 from wibam_core.stages.base import StageContext, Summary
 from wibam_core.training.device import choose_device_to_detect
@@ -92,6 +93,7 @@ def run(context: StageContext, config: EvaluateConfig) -> Summary:
         _Detector(baseline, {"baseline": card.decode, **published}, SdFactors()),
         _Detector(tuned, {"finetuned": card.decode}, factors),
     )
+    known = baseline.known & tuned.known
     predictions: dict[str, list[Vehicles3D]] = {}
     for number, detector in enumerate(detectors):
         progress = part(context.progress, number / len(detectors), (number + 1) / len(detectors))
@@ -99,7 +101,7 @@ def run(context: StageContext, config: EvaluateConfig) -> Summary:
         predictions |= _detect(detector, store, instants, rig, min_score, progress)
     context.write(PREDICTIONS_BASELINE, predictions["baseline"])
     context.write(PREDICTIONS_FINETUNED, predictions["finetuned"])
-    metrics = _metrics(context, config, instants, predictions, labels, factors)
+    metrics = _metrics(context, config, instants, predictions, labels, factors, known)
     context.write(METRICS, metrics)
     headlines = {"baseline": metrics.baseline, "finetuned": metrics.finetuned}
     return {
@@ -145,15 +147,17 @@ def _metrics(
     predictions: dict[str, list[Vehicles3D]],
     labels: LabelTimeline | None,
     factors: SdFactors,
+    known: Collection[RoadUserClass],
 ) -> Metrics:
     rig = context.read(RIG)
     times = {instant.time_ns for instant in instants}
     annotations = [instant for instant in context.read(ANNOTATIONS) if instant.time_ns in times]
     consistency = {
-        name: self_consistency(_above(found, config.min_score), annotations, rig) for name, found in predictions.items()
+        name: self_consistency(_above(found, config.min_score), annotations, rig, known)
+        for name, found in predictions.items()
     }
     labelled: dict[str, Any] = {}
-    evaluations = _evaluations(config, rig, instants, predictions, labels)
+    evaluations = _evaluations(config, rig, instants, predictions, labels, known)
     if evaluations is not None:
         correct, published = evaluations
         labelled = {
@@ -167,6 +171,7 @@ def _metrics(
         options=config.model_dump(),
         labels="none" if evaluations is None else "hand",
         labelled_instants=_labelled_instants(labels, instants),
+        not_asked_for=[str(kind) for kind in CLASSES if kind not in known],
         instants=len(instants),
         frames=len(next(iter(predictions.values()))),
         sd_factors=asdict(factors),
@@ -181,6 +186,7 @@ def _evaluations(
     instants: Sequence[FrameSet],
     predictions: dict[str, list[Vehicles3D]],
     labels: LabelTimeline | None,
+    known: Collection[RoadUserClass],
 ) -> tuple[dict[str, Evaluation], dict[str, Evaluation]] | None:
     """Correct and as published, by method; None where no frame of the test part is labelled."""
     if labels is None:
@@ -189,8 +195,8 @@ def _evaluations(
     correct, published = {}, {}
     for name, found in predictions.items():
         at_exposure = [replace(v, time_ns=exposed[v.time_ns, str(v.camera_id)]) for v in found]
-        correct[name] = evaluate(at_exposure, labels, rig, config)
-        published[name] = evaluate(at_exposure, labels, rig, config, "paper_compat")
+        correct[name] = evaluate(at_exposure, labels, rig, config, classes=known)
+        published[name] = evaluate(at_exposure, labels, rig, config, "paper_compat", known)
     return (correct, published) if next(iter(correct.values())).frames else None
 
 

@@ -29,7 +29,7 @@ def run(context: StageContext, config: FinetuneConfig) -> Summary:
     start = context.assets["network"] if custom else bundled("mono_small.safetensors")
     network = load_to_train(start, config)
     instants, fits = context.read(ANNOTATIONS), context.read(FITS)
-    taught = Teachable.of(instants, fits, network.teachable)
+    taught = Teachable.of(instants, fits, network.known)
     dataset, enough = _dataset(context, config, network, taught)
     enough.require_any()
     context.warn(*enough.cautions, *taught.cautions())
@@ -61,7 +61,16 @@ def _dataset(
     def subset(name: str) -> list[SiteView]:
         times = set(split.times_ns[name])
         chosen = [instant for instant in taught.instants if instant.time_ns in times]
-        return site_views(chosen, frames, taught.fits, rig, split.left_out_tracks[name], width_px, complete=complete)
+        return site_views(
+            chosen,
+            frames,
+            taught.fits,
+            rig,
+            split.left_out_tracks[name],
+            width_px,
+            complete=complete,
+            not_looked_for=taught.not_looked_for,
+        )
 
     enough = training_sufficiency(config.method, taught.instants, taught.fits, split)
     return SiteDataset(frames, rig, subset("train"), subset("val")), enough

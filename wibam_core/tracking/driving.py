@@ -11,7 +11,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, fields
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
 from wibam_core.geometry.se3 import normalise_angle
 from wibam_core.tracking.motion import (
@@ -62,6 +62,10 @@ class DrivingModel:
             ),
             first_sd=np.array([[m.first_speed_sd_mps, m.first_curvature_sd] for m in motions]),
         )
+
+    @property
+    def turns_freely(self) -> NDArray[np.bool_]:
+        return np.zeros(self.axle_m.shape, dtype=bool)
 
     def where(self, rows: Rows) -> DrivingModel:
         return DrivingModel(*(getattr(self, field.name)[rows] for field in fields(self)))

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from wibam_core.geometry.box3d import LENGTH, XY, YAW
 from wibam_core.geometry.se3 import normalise_angle
-from wibam_core.road_users import CLASSES
+from wibam_core.road_users import CLASSES, may_be_one
 from wibam_core.scene import Vehicles3D
 
 Array = NDArray[np.float64]
@@ -18,6 +18,9 @@ Indices = NDArray[np.int64]
 
 #: Length of a usual car. The place of a longer vehicle is less certain along its length.
 _REFERENCE_LENGTH_M = 4.5
+#: (classes,) in the order of `CLASSES`: distances within which two may be one, as a share of those of vehicles.
+REACH: Array = np.minimum([c.traits.place_scale for c in CLASSES], 1.0)
+REACH.setflags(write=False)
 #: (7,) in the order of boxes, m and rad: the least standard deviations of a fused box, since averaging views does not
 #: remove the errors that they share (calibration, a bias of the network).
 SD_FLOOR = np.array([0.15, 0.15, 0.08, 0.2, 0.08, 0.08, 0.05])
@@ -79,12 +82,18 @@ class Fused:
     def __len__(self) -> int:
         return len(self.boxes)
 
+    @property
+    def classes(self) -> Indices:
+        """(K,) what most votes are for, indices into `wibam_core.road_users.CLASSES`."""
+        return self.votes.argmax(axis=1)
+
 
 def fuse(detected: Detected, radius_m: float) -> Fused:
     """Cluster detections on the ground, at most one per camera in each cluster, and average each cluster.
 
-    Pairs are joined nearest first while every two of a cluster stay within reach (complete linkage). Numbers are
-    weighted by score over variance: a near camera knows the place better than a far one.
+    Somebody on foot or on two wheels is never one with a vehicle. Pairs are joined nearest first while every two of a
+    cluster stay within reach (complete linkage). Numbers are weighted by score over variance: a near camera knows the
+    place better than a far one.
 
     Args:
         detected: by all cameras, all moved to the same instant.
@@ -94,7 +103,7 @@ def fuse(detected: Detected, radius_m: float) -> Fused:
         return Fused(
             np.empty((0, 7)), np.empty((0, 7)), np.empty((0, len(CLASSES))), np.empty((0, 2)), np.empty(0, np.int64)
         )
-    clusters = _cluster(detected.boxes, detected.cameras, radius_m)
+    clusters = _cluster(detected, radius_m)
     views = np.array([len(rows) for rows in clusters], np.int64)
     members = detected.where(np.array([row for rows in clusters for row in rows], np.int64))
     return _merged(members, views)
@@ -114,10 +123,12 @@ def ground_distance(a: Array, b: Array) -> Array:
     return np.hypot(along / np.maximum(1.0, length / _REFERENCE_LENGTH_M), across)
 
 
-def _cluster(boxes: Array, cameras: Indices, radius_m: float) -> list[list[int]]:
+def _cluster(detected: Detected, radius_m: float) -> list[list[int]]:
+    boxes, cameras, reach = detected.boxes, detected.cameras, REACH[detected.classes]
     distance = ground_distance(boxes, boxes)
     distance = np.minimum(distance, distance.T)
-    allowed = (cameras[:, None] != cameras) & (distance <= radius_m)
+    allowed = (cameras[:, None] != cameras) & may_be_one(detected.classes, detected.classes)
+    allowed &= distance <= radius_m * np.maximum(reach[:, None], reach)
     i, j = np.nonzero(np.triu(allowed, 1))
     order = np.argsort(distance[i, j], kind="stable")
     members: list[list[int]] = [[k] for k in range(len(boxes))]

@@ -50,7 +50,14 @@ class Measurement:
 
 
 class MotionModel(Protocol):
-    """How road users move. A model knows the size of each that it is of."""
+    """How road users move. A model knows the size of each that it is of.
+
+    Attributes:
+        turns_freely: (...) whether its yaw and the way that it goes are two things, and only its front follows the way.
+    """
+
+    @property
+    def turns_freely(self) -> NDArray[np.bool_]: ...
 
     def where(self, rows: Rows) -> Self:
         """The model of the selected ones."""

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,10 +13,10 @@ from scipy.optimize import linear_sum_assignment
 from wibam_core.config import TrackConfig
 from wibam_core.geometry.box3d import LENGTH, POSE, SIZE, XY
 from wibam_core.geometry.iou import bev_iou
-from wibam_core.road_users import CLASSES
+from wibam_core.road_users import CLASSES, may_be_one
 from wibam_core.scene import Track, Vehicles3D
-from wibam_core.tracking.fusion import Detected, Fused, fuse, ground_distance
-from wibam_core.tracking.models import model_of
+from wibam_core.tracking.fusion import REACH, Detected, Fused, fuse, ground_distance
+from wibam_core.tracking.models import WALKS, model_of
 from wibam_core.tracking.motion import STATES, Belief, Measurement, MotionModel, innovation, squared_distance, update
 from wibam_core.tracking.trajectory import Hit, to_tracks
 
@@ -77,8 +78,13 @@ class _Candidates:
         )
 
     @property
+    def classes(self) -> Indices:
+        """(C,) what most votes are for, indices into `wibam_core.road_users.CLASSES`."""
+        return self.votes.argmax(axis=1)
+
+    @property
     def model(self) -> MotionModel:
-        return model_of(self.votes.argmax(axis=1), self.boxes[:, LENGTH])
+        return model_of(self.classes, self.boxes[:, LENGTH])
 
     @property
     def seen(self) -> Indices:
@@ -112,12 +118,17 @@ class _Candidates:
         """Candidates ``rows`` were seen as the fused boxes ``columns``, after which this is believed of them."""
         self.belief.mean[rows], self.belief.covariance[rows] = belief.mean, belief.covariance
         self.times_ns[rows] = time_ns
+        walked = WALKS[self.classes[rows]]
         self.votes[rows] += fused.votes[columns]
         self.sizes[rows, self.seen[rows] % _LATEST_SIZES] = fused.boxes[columns, SIZE]
         for row, column in zip(rows.tolist(), columns.tolist(), strict=True):
             self.hits[row].append(_hit(time_ns, fused, column))
         self.boxes[rows] = fused.boxes[columns]
         self.boxes[rows, SIZE] = _medians(self.sizes[rows], np.minimum(self.seen[rows], _LATEST_SIZES))
+        # of those that are taken for another class now, the states of its model of motion may mean other things
+        for row in rows[WALKS[self.classes[rows]] != walked].tolist():
+            anew = _filtered(self.hits[row], int(self.classes[row]), float(self.boxes[row, LENGTH]))
+            self.belief.mean[row], self.belief.covariance[row] = anew.mean, anew.covariance
 
 
 class Tracker:
@@ -195,6 +206,7 @@ class Tracker:
         if not len(detected) or not len(places):
             return detected
         distance = ground_distance(detected.boxes, places)
+        distance[~may_be_one(detected.classes, self._active.classes)] = np.inf
         nearest = distance.argmin(axis=1)
         known = (distance[np.arange(len(nearest)), nearest] <= self._config.gate_m) & (self._active.seen[nearest] > 1)
         boxes = detected.boxes.copy()
@@ -203,8 +215,10 @@ class Tracker:
 
     def _costs(self, fused: Fused, model: MotionModel, expected: Belief, places: Array, hidden_s: Array) -> Array:
         """(C, K) what it costs to take each fused box for each candidate, infinite where it is none."""
-        gates = self._config.gate_m + hidden_s * np.minimum(model.speed_sd(expected), _MAX_SPEED_SD)
+        gates = REACH[self._active.classes] * self._config.gate_m
+        gates += hidden_s * np.minimum(model.speed_sd(expected), _MAX_SPEED_SD)
         near = ground_distance(places, fused.boxes) <= gates[:, None]
+        near &= may_be_one(self._active.classes, fused.classes)
         rows, columns = np.nonzero(near)
         difference, S, _ = innovation(model.where(rows), expected.where(rows), _measurements(fused, columns))
         distance = squared_distance(difference, S)
@@ -228,9 +242,10 @@ class Tracker:
         """Fused boxes that are no candidate's become new ones, but for second boxes of the same vehicle."""
         free = np.delete(np.arange(len(fused)), taken)
         boxes = fused.boxes[free]
-        present = self._active.boxes[self._active.times_ns == time_ns]
-        apart = ~(bev_iou(boxes, present) > _DUPLICATE_IOU).any(axis=1)
-        same = bev_iou(boxes, boxes) > _DUPLICATE_IOU
+        classes, now = fused.classes[free], self._active.times_ns == time_ns
+        again = may_be_one(classes, self._active.classes[now])
+        apart = ~(again & (bev_iou(boxes, self._active.boxes[now]) > _DUPLICATE_IOU)).any(axis=1)
+        same = may_be_one(classes, classes) & (bev_iou(boxes, boxes) > _DUPLICATE_IOU)
         begun: list[int] = []
         for column in np.flatnonzero(apart).tolist():
             if not same[column, begun].any():
@@ -241,6 +256,15 @@ class Tracker:
 
 def _measurements(fused: Fused, columns: Indices) -> Measurement:
     return Measurement(fused.boxes[columns][:, POSE], fused.sd[columns][:, POSE])
+
+
+def _filtered(hits: Sequence[Hit], road_user: int, length_m: float) -> Belief:
+    """What all hits of a road user of this class, an index into `CLASSES`, say of where it was at the last of them."""
+    model = model_of(road_user, length_m)
+    belief = model.first_belief(hits[0].measurement)
+    for before, hit in pairwise(hits):
+        belief = update(model, model.predict(belief, (hit.time_ns - before.time_ns) * 1e-9)[0], hit.measurement)
+    return belief
 
 
 def _hit(time_ns: int, fused: Fused, column: int) -> Hit:

@@ -29,6 +29,8 @@ _MIN_DRIVEN_M = 2.0
 _CORRELATION = 3.0
 #: So many vehicles are smoothed together; all that is known of their states at every instant is in memory meanwhile.
 _TOGETHER = 64
+#: Somebody slower than this may be stepping back or aside, m/s.
+_WALKING_MPS = 0.5
 
 
 @dataclass(frozen=True, eq=False)
@@ -44,6 +46,11 @@ class Hit:
     sd: Array
     votes: Array
     headings: Array
+
+    @property
+    def measurement(self) -> Measurement:
+        """Its place and heading."""
+        return Measurement(self.box[POSE], self.sd[POSE])
 
 
 def to_tracks(vehicles: Sequence[Sequence[Hit]], instants: Indices) -> list[Track]:
@@ -93,6 +100,9 @@ def _smoothed(first_id: int, vehicles: Sequence[Sequence[Hit]], instants: Indice
 
     every = model.where(of_state)
     place, H = every.centre(beliefs.mean)
+    travel, ahead = every.travel(beliefs.mean)
+    for own in (states[number] for number in np.flatnonzero(model.turns_freely)):
+        place[own, STATE_YAW] = _facing(place[own, STATE_YAW], np.hypot(*travel[own].T), ahead[own])
     variances = np.diagonal(H @ beliefs.covariance @ transposed(H), axis1=1, axis2=2)
     boxes, sd = np.empty((len(of_state), 7)), np.empty((len(of_state), 7))
     boxes[:, XY], boxes[:, YAW] = place[:, :STATE_YAW], normalise_angle(place[:, STATE_YAW])
@@ -125,6 +135,19 @@ def _size(hits: Sequence[Hit]) -> tuple[Array, Array]:
     median = np.take_along_axis(sizes, order, axis=0)[middle, np.arange(3)]
     spread = 1.4826 * np.median(np.abs(sizes - median), axis=0)
     return median, np.hypot(spread / np.sqrt(len(hits)), SD_FLOOR[SIZE])
+
+
+def _facing(yaws: Array, speeds: Array, ahead: Array) -> Array:
+    """Where somebody with these yaws (T,), speeds (T,) and speeds along the yaws (T,) looks: people walk forwards.
+
+    Who stands looks about as when they last walked, or next will.
+    """
+    walking = np.flatnonzero(speeds >= _WALKING_MPS)
+    if not len(walking):
+        return yaws
+    nearest = walking[np.abs(np.arange(len(yaws))[:, None] - walking).argmin(axis=1)]
+    front = yaws[nearest] + np.where(ahead[nearest] >= 0, 0.0, np.pi)
+    return np.where(np.cos(yaws - front) >= 0, yaws, yaws + np.pi)
 
 
 def _is_reversed(speeds: Array, yaws: Array, times_ns: Indices, hits: Sequence[Hit]) -> bool:

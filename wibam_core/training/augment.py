@@ -100,15 +100,16 @@ def rewarp(view: LabelledView, camera: Camera, fill: tuple[int, int, int]) -> La
     cut = in_front & ~kept & (share > 0.02)
     ignored = _warp_boxes(H, view.ignored)
     ignored = clipped_to_image(ignored[~np.isnan(ignored[:, 0])], camera.width_px, camera.height_px)
-    return LabelledView(
-        np.asarray(image, dtype=np.uint8),
-        camera,
-        inside[kept],
-        view.classes[kept],
-        view.boxes3d[kept],
-        view.confidence[kept],
-        view.front_known[kept],
-        np.concatenate([ignored, inside[cut]]),
+    return replace(
+        view,
+        image=np.asarray(image, dtype=np.uint8),
+        camera=camera,
+        boxes2d=inside[kept],
+        classes=view.classes[kept],
+        boxes3d=view.boxes3d[kept],
+        confidence=view.confidence[kept],
+        front_known=view.front_known[kept],
+        ignored=np.concatenate([ignored, inside[cut]]),
     )
 
 

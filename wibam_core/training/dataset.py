@@ -14,6 +14,7 @@ from wibam_core.geometry.box3d import XY, YAW
 from wibam_core.geometry.pixels import resized_px, scale_of
 from wibam_core.models.frames import INPUT_WIDTH_PX, prepare_camera, prepare_image
 from wibam_core.models.trunk import INPUT_MULTIPLE
+from wibam_core.road_users import RoadUserClass
 from wibam_core.scene import AnnotatedInstant, CameraRig, Detections2D, MultiViewVehicle, Vehicles3D
 from wibam_core.training.overlooked import overlooked
 from wibam_core.training.teachable import without
@@ -63,6 +64,7 @@ def site_views(
     input_width_px: int = INPUT_WIDTH_PX,
     *,
     complete: bool = True,
+    not_looked_for: frozenset[RoadUserClass] = frozenset(),
 ) -> list[SiteView]:
     """Every frame of the instants, in order of time, then of the rig.
 
@@ -74,6 +76,7 @@ def site_views(
         left_out_tracks: vehicles of another subset: they teach nothing, and finding them is not punished.
         input_width_px: how wide the network sees the images.
         complete: also label vehicles that were detected in other views alone (`wibam_core.training.overlooked`).
+        not_looked_for: the road users that the detector does not know, nor takes for others.
     """
     prepared = {camera_id: prepare_camera(camera, input_width_px) for camera_id, camera in rig.items()}
     scales = {camera_id: scale_of(rig[camera_id].size_px, camera.size_px, 4) for camera_id, camera in prepared.items()}
@@ -95,6 +98,7 @@ def site_views(
                     classes=seen.classes,
                     **_labels3d(seen, instant.vehicles, fits, instant.time_ns),
                     ignored=ignored[camera_id],
+                    not_looked_for=not_looked_for,
                 )
                 if complete:
                     found = {vehicle.track_id for vehicle in instant.vehicles if camera_id in vehicle.views}

@@ -18,7 +18,7 @@ _MAX_CORNER_RANGE_M = 150.0
 def focal_loss(logits: Tensor, heat: Tensor, judged: Tensor) -> Tensor:
     """Penalty-reduced focal loss per peak (Zhou et al. 2019, CenterNet, eq. 1: alpha 2, beta 4).
 
-    ``logits`` and ``heat`` are (B, C, h, w); ``judged`` (B, 1, h, w) is 0 where cells do not count.
+    ``logits`` and ``heat`` are (B, C, h, w); ``judged`` (B, C or 1, h, w) is 0 where cells do not count.
     """
     log_p, log_not_p = functional.logsigmoid(logits), functional.logsigmoid(-logits)
     p = logits.sigmoid()

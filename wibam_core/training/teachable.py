@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from wibam_core.documents.warnings import Caution
-from wibam_core.road_users import CLASSES
+from wibam_core.road_users import CLASSES, VULNERABLE, RoadUserClass
 from wibam_core.scene import AnnotatedInstant, Vehicles3D
 
 
@@ -29,7 +29,9 @@ class Teachable:
     left_out: Mapping[str, int]
 
     @classmethod
-    def of(cls, instants: Sequence[AnnotatedInstant], fits: Sequence[Vehicles3D], known: Set[int]) -> Teachable:
+    def of(
+        cls, instants: Sequence[AnnotatedInstant], fits: Sequence[Vehicles3D], known: Set[RoadUserClass]
+    ) -> Teachable:
         """What is left of them; images show the others as background.
 
         A box is left out if either it or the road user that it was linked to is of another class.
@@ -37,21 +39,32 @@ class Teachable:
         Args:
             instants: associated 2D boxes.
             fits: in the world.
-            known: indices into `CLASSES` of what the network can be taught.
+            known: what the network knows.
         """
-        numbers = np.array(sorted(known), dtype=np.int64)
+        numbers = np.array([road_user.number for road_user in known], dtype=np.int64)
         left_out: Counter[str] = Counter()
         kept = []
         for instant in instants:
             out = {id_: ~np.isin(seen.classes, numbers) for id_, seen in instant.detections.items()}
             for vehicle in instant.vehicles:
-                if vehicle.vehicle_class.number not in known:
+                if vehicle.vehicle_class not in known:
                     for camera_id, row in vehicle.views.items():
                         out[camera_id][row] = True
             for camera_id, rows in out.items():
                 left_out.update(CLASSES[number].value for number in instant.detections[camera_id].classes[rows])
             kept.append(without(instant, out))
         return cls(kept, [fit.where(np.isin(fit.classes, numbers)) for fit in fits], dict(sorted(left_out.items())))
+
+    @property
+    def not_looked_for(self) -> frozenset[RoadUserClass]:
+        """People on foot and on two wheels, where no box shows any: a detector of vehicles says nothing of them.
+
+        A van that a detector does not know is taken for a car. Nobody on foot is.
+        """
+        boxes = (seen.classes for instant in self.instants for seen in instant.detections.values())
+        if any(VULNERABLE[classes].any() for classes in boxes):
+            return frozenset()
+        return frozenset(road_user for road_user in CLASSES if road_user.traits.vulnerable)
 
     def cautions(self) -> list[Caution]:
         """What a person should know of it."""

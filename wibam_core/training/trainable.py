@@ -26,7 +26,6 @@ class TrainableNetwork(Network, Protocol):
         module: its weights, trained in place; on any device.
         default_rates: learning rate by method, where the options give none. It can be trained by these methods.
         view_width_px: how wide the images are in whose pixels it is given labelled views.
-        teachable: indices into `CLASSES` of the road users that it can be taught.
         states_sd: whether it states standard deviations.
     """
 
@@ -40,9 +39,6 @@ class TrainableNetwork(Network, Protocol):
 
     @property
     def view_width_px(self) -> int: ...
-
-    @property
-    def teachable(self) -> frozenset[int]: ...
 
     @property
     def states_sd(self) -> bool: ...
@@ -66,7 +62,7 @@ class TrainableNetwork(Network, Protocol):
 
         Args:
             maps: of all views, see `maps`.
-            views: of teachable road users alone.
+            views: of known road users alone.
             others: the views of other cameras.
             config: method, and how boxes are placed.
         """

@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from wibam_core.geometry.camera import Camera
+from wibam_core.road_users import RoadUserClass
 
 FloatArray = NDArray[np.float64]
 
@@ -25,6 +26,7 @@ class LabelledView:
         confidence: (N,) weight in [0, 1] of the 3D box: a pseudo-label, that is a fit, or a true one in simulation.
         front_known: (N,) whether the 3D box tells front from rear; where not, either heading is right.
         ignored: (M, 4) xyxy, px: regions in which the heat is not judged.
+        not_looked_for: the road users that nothing here says anything about: their heat is judged nowhere.
     """
 
     image: NDArray[np.uint8]
@@ -35,6 +37,7 @@ class LabelledView:
     confidence: FloatArray
     front_known: NDArray[np.bool_]
     ignored: FloatArray
+    not_looked_for: frozenset[RoadUserClass] = frozenset()
 
     def __post_init__(self) -> None:
         n = len(self.classes)

@@ -15,10 +15,11 @@ from wibam_core.detection.detector import load_detector
 from wibam_core.detection.yolox import YoloxDetector, letterbox
 from wibam_core.errors import InvalidWeights
 from wibam_core.geometry.boxes2d import image_iou
-from wibam_core.road_users import CLASSES
+from wibam_core.road_users import RoadUserClass
 from wibam_core.video.decode import decode
 
 CAR, VAN, TRUCK, BUS = range(4)
+PEDESTRIAN = RoadUserClass.PEDESTRIAN.number
 
 
 def save(
@@ -53,7 +54,7 @@ def centre_model(path: Path, peaks: list[tuple[int, int, int, float, list[float]
     for number, row, column, score, sides in peaks:
         heat[0, number, row, column] = score
         ltrb[0, :, row, column] = sides
-    metadata = {"family": "wibam-centre", "classes": json.dumps([str(c) for c in CLASSES])}
+    metadata = {"family": "wibam-centre", "classes": json.dumps(["car", "van", "truck", "bus"])}
     return save(path, "image", [1, 3, "height", "width"], {"heat": heat, "ltrb": ltrb}, metadata)
 
 
@@ -97,13 +98,14 @@ def test_convention_centre_boxes_are_in_the_pixels_of_the_image(
 def test_centre_input_is_bgr_in_0_to_1_padded_to_32_rows(tmp_path: Path) -> None:
     """The heat is the input itself, 320 rows of it for 300 of the image: a blue pixel is a peak of the first class."""
     outputs = {"heat": np.zeros((1, 3, 320, 640)), "ltrb": np.ones((1, 4, 320, 640))}
-    path = save(tmp_path / "a.onnx", "image", [1, 3, 320, 640], outputs, {"family": "wibam-centre"}, mirrored="heat")
+    metadata = {"family": "wibam-centre", "classes": json.dumps(["bus", "car", "van"])}
+    path = save(tmp_path / "a.onnx", "image", [1, 3, 320, 640], outputs, metadata, mirrored="heat")
     shown = np.zeros((300, 640, 3), np.uint8)
     shown[70, 100] = (255, 51, 0)
     shown[40, 50] = (0, 102, 0)
     found = load_detector(path, min_score=0.1, nms_iou=0.5).detect(shown)
     assert found.scores == pytest.approx([1.0, 0.4])
-    assert found.classes.tolist() == [0, 1]
+    assert found.classes.tolist() == [BUS, CAR]  # by the network's own names
     assert np.allclose(found.boxes[0, :2], [100.5 * 4 - 4.5, 70.5 * 4 - 4.5])
 
 
@@ -155,14 +157,15 @@ def test_convention_yolox_cells_and_letterbox(tmp_path: Path, width: int, height
 def test_yolox_counts_what_a_vehicle_is_taken_for_and_nothing_else(tmp_path: Path) -> None:
     box = [0.5, 0.5, 0.0, 0.0]
     cells = {
-        0: (box, 0.9, {0: 1.0}),  # a person
+        0: (box, 0.9, {15: 1.0}),  # a cat
+        5: (box, 0.5, {0: 0.9, 2: 0.1}),  # a person, hardly a car
         10: (box, 0.9, {4: 0.8, 7: 0.1}),  # an aeroplane on the road, most like a truck
         20: (box, 0.8, {2: 0.5, 7: 0.5}),  # a car or a truck
         30: (box, 0.9, {2: 0.2}),
     }
     found = load_detector(yolox_model(tmp_path / "a.onnx", cells), min_score=0.3, nms_iou=0.6).detect(image(64, 64))
-    assert found.scores == pytest.approx([0.9 * (1 - 0.2 * 0.9), 0.8 * 0.75])
-    assert found.classes.tolist() == [TRUCK, CAR]
+    assert found.scores == pytest.approx([0.9 * (1 - 0.2 * 0.9), 0.8 * 0.75, 0.5 * 0.9])
+    assert found.classes.tolist() == [TRUCK, CAR, PEDESTRIAN]
 
 
 def test_hostile_outputs_give_no_boxes(tmp_path: Path) -> None:
@@ -194,7 +197,12 @@ def test_wrong_files_are_refused_saying_what_is_expected(tmp_path: Path) -> None
     model = onnx.load(str(alien))
     helper.set_model_props(model, {"family": "wibam-centre", "classes": '["tram"]'})
     onnx.save(model, str(alien))
+    nameless = centre_model(tmp_path / "nameless.onnx", [])
+    model = onnx.load(str(nameless))
+    helper.set_model_props(model, {"family": "wibam-centre"})
+    onnx.save(model, str(nameless))
     for path, match in {
+        nameless: "does not say which classes",
         text: "no ONNX network",
         odd: r"takes x .* and gives y",
         bare: "has no ltrb",
@@ -205,6 +213,16 @@ def test_wrong_files_are_refused_saying_what_is_expected(tmp_path: Path) -> None
             load_detector(path, min_score=0.3, nms_iou=0.6)
         assert caught.value.code == "invalid_weights"
         assert "safetensors" not in caught.value.hint
+
+
+def test_heat_of_a_class_without_a_name_is_refused(tmp_path: Path) -> None:
+    path = centre_model(tmp_path / "a.onnx", [])
+    model = onnx.load(str(path))
+    helper.set_model_props(model, {"family": "wibam-centre", "classes": '["car"]'})
+    onnx.save(model, str(path))
+    detector = load_detector(path, min_score=0.3, nms_iou=0.6)
+    with pytest.raises(InvalidWeights, match="names 1 classes and has heat for 4"):
+        detector.detect(image(640, 384))
 
 
 def test_kind_is_chosen_by_the_file(tmp_path: Path) -> None:

@@ -6,6 +6,7 @@ import pytest
 from wibam_core.detection.background import StillBackground
 from wibam_core.detection.boxes import Found
 from wibam_core.detection.refine import EdgeRefiner
+from wibam_core.road_users import RoadUserClass
 from wibam_core.synthetic.sampling import RenderedView, sample_views
 
 SIDE_PX = 14.0
@@ -115,3 +116,18 @@ def test_what_turns_out_to_be_one_vehicle_is_one_box(views: list[RenderedView]) 
     found = EdgeRefiner().refine(view.image, background, both, nms_iou=0.6, classify=False)
     assert len(true) >= 2 and len(found.boxes) == len(true)
     assert (found.scores == 0.9).all() and (found.classes == 0).all()
+
+
+def test_boxes_of_classes_that_it_does_not_know_stay_as_they_are(views: list[RenderedView]) -> None:
+    view = views[0]
+    true, _ = shaken(view, np.random.default_rng(0))
+    boxes = np.stack([true[0], true[0]])
+    classes = np.array([RoadUserClass.PEDESTRIAN.number, RoadUserClass.CAR.number])
+    background = StillBackground(view.still, np.full(view.image.shape[:2], 255, np.uint8))
+    found = EdgeRefiner().refine(
+        view.image, background, Found(boxes, np.array([0.9, 0.8]), classes), nms_iou=0.6, classify=True
+    )
+    assert found.boxes[0].tolist() == boxes[0].tolist()
+    assert found.classes[0] == RoadUserClass.PEDESTRIAN.number
+    assert np.isnan(found.amodal_boxes[0]).all() and np.isnan(found.amodal_sd[0]).all()
+    assert np.isfinite(found.amodal_boxes[1]).all()

@@ -12,6 +12,7 @@ from wibam_core.evaluation.labels_at import LabelTimeline
 from wibam_core.evaluation.matching import assign, match_in_image, match_on_ground, paper_filter
 from wibam_core.evaluation.metrics import METRICS, alias_share, compare, compare_as_published, scale_error
 from wibam_core.evaluation.summary import by_class, by_distance, by_elevation, by_visibility, summarise
+from wibam_core.road_users import RoadUserClass
 from wibam_core.scene import LabelledInstant, Vehicles3D
 
 CAMERA = look_at((-25.0, 0.0, 8.0))
@@ -265,3 +266,28 @@ def test_a_label_without_an_id_is_the_same_vehicle_for_every_detector() -> None:
     second = run(detected(truth[1:]), labels).matched.vehicle_ids.tolist()
     both = run(detected(truth), labels).matched.vehicle_ids.tolist()
     assert sorted(first + second) == sorted(both)
+
+
+def test_a_car_beside_somebody_on_foot_is_not_their_detection() -> None:
+    truth = boxes((0, 0), (8, 8))
+    people = np.full(2, RoadUserClass.PEDESTRIAN.number)
+    labels = LabelledInstant(Vehicles3D.of(0, truth, classes=people, ids=np.arange(2)), {"a": np.ones(2)})
+    car = Vehicles3D.of(0, truth[:1], camera_id="a")
+    seen = run(car, labels)
+    assert len(seen.matched.classes) == 0 and seen.false_positives == 1
+    assert seen.missed.classes.tolist() == people.tolist()
+
+
+def test_a_network_is_not_asked_for_what_it_does_not_know() -> None:
+    truth = boxes((0, 0), (8, 8))
+    classes = np.array([RoadUserClass.CAR.number, RoadUserClass.PEDESTRIAN.number])
+    labels = LabelledInstant(Vehicles3D.of(0, truth, classes=classes, ids=np.arange(2)), {"a": np.ones(2)})
+    known = evaluate(
+        [Vehicles3D.of(0, truth[:1], camera_id="a")],
+        LabelTimeline([labels]),
+        {"a": CAMERA},
+        EvaluateConfig(),
+        classes=[RoadUserClass.CAR, RoadUserClass.VAN],
+    )
+    assert known.matched.classes.tolist() == [RoadUserClass.CAR.number]
+    assert len(known.missed.classes) == known.false_positives == 0

@@ -1,5 +1,7 @@
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -88,3 +90,12 @@ def test_predictions_over_time_have_a_roughness() -> None:
         sideways = 0.2 * (-1) ** k
         predicted += [Vehicles3D.of(time_ns, TRUTH + [sideways, 0, 0, 0, 0, 0, 0], camera_id=c) for c in RIG]
     assert self_consistency(predicted, instants, RIG).roughness_m.mean == pytest.approx(0.4)
+
+
+def test_a_network_is_not_asked_for_what_it_does_not_know() -> None:
+    instant = annotate(RIG)
+    walker = replace(instant.vehicles[1], vehicle_class=RoadUserClass.PEDESTRIAN)
+    instant = replace(instant, vehicles=(instant.vehicles[0], walker))
+    cars_alone = [vehicles.where(np.array([0])) for vehicles in found(0.0)]
+    assert self_consistency(cars_alone, [instant], RIG).found == 0.5
+    assert self_consistency(cars_alone, [instant], RIG, [RoadUserClass.CAR]).found == 1

@@ -11,8 +11,8 @@ import torch
 from wibam_core.models.detector2d import Detector2D, ExportedDetector2D
 from wibam_core.models.export import export_detector2d, export_refiner2d
 from wibam_core.models.refiner2d import Refiner2D
+from wibam_core.models.taught import TAUGHT
 from wibam_core.models.trunk import TrunkShape
-from wibam_core.road_users import CLASSES
 
 
 @pytest.mark.filterwarnings("ignore::DeprecationWarning", "ignore::UserWarning")
@@ -27,13 +27,13 @@ def test_the_onnx_file_agrees_with_the_network_at_any_size(tmp_path: Path) -> No
     session = onnxruntime.InferenceSession(str(path), providers=["CPUExecutionProvider"])
     properties = session.get_modelmeta().custom_metadata_map
     assert properties["family"] == "wibam-centre"
-    assert json.loads(properties["classes"]) == [str(c) for c in CLASSES]
+    assert json.loads(properties["classes"]) == [str(c) for c in TAUGHT]
     for height, width in ((64, 128), (96, 160)):
         image = np.random.default_rng(1).random((1, 3, height, width), dtype=np.float32)
         heat, ltrb = session.run(["heat", "ltrb"], {"image": image})
         with torch.inference_mode():
             expected_heat, expected_ltrb = ExportedDetector2D(detector)(torch.from_numpy(image))
-        assert heat.shape == (1, len(CLASSES), height // 4, width // 4)
+        assert heat.shape == (1, len(TAUGHT), height // 4, width // 4)
         # peaks of nearly equal height may be broken differently: compare what survives in both
         both = (heat > 0) & (expected_heat.numpy() > 0)
         assert both.sum() > 0.95 * (heat > 0).sum()

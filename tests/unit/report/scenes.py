@@ -188,6 +188,7 @@ def metrics_json(*, labels: bool = True) -> dict[str, Any]:
         return {
             "options": OPTIONS,
             "labels": "none",
+            "not_asked_for": ["motorcycle", "bicycle", "pedestrian"],
             "labelled_instants": {"given": 0, "in_test_part": 0, "test_from_s": 51.2, "test_to_s": 58.8},
             "instants": 60,
             "frames": 240,
@@ -197,6 +198,7 @@ def metrics_json(*, labels: bool = True) -> dict[str, Any]:
     return {
         "options": OPTIONS,
         "labels": "hand",
+        "not_asked_for": ["motorcycle", "bicycle", "pedestrian"],
         "labelled_instants": {"given": 60, "in_test_part": 60, "test_from_s": 51.2, "test_to_s": 58.8},
         "instants": 60,
         "frames": 240,

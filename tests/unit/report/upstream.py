@@ -65,7 +65,9 @@ def write_upstream(root: Path) -> tuple[StageFolders, Path]:
     made.give(catalogue.ANNOTATIONS, instants)
     association = association_statistics(instants)
     made.give(catalogue.ASSOCIATION_STATISTICS, association)
-    counts = DetectionStatistics(frames=100, boxes=association.boxes, boxes_by_camera={}, boxes_by_class={})
+    counts = DetectionStatistics(
+        frames=100, boxes=association.boxes, boxes_by_camera={}, boxes_by_class={}, unknown_classes=[]
+    )
     made.give(catalogue.DETECTION_STATISTICS, counts)
     split = split_in_time(instants, DatasetConfig(train_share=0.4, val_share=0.2, gap_s=0.4))
     made.give(catalogue.SPLIT, split)

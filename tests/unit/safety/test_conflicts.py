@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -230,3 +231,50 @@ def test_the_stage_writes_conflicts_as_json(tmp_path: Path) -> None:
 
 def test_no_tracks_no_conflicts() -> None:
     assert find_conflicts([], CONFIG) == []
+
+
+def of_class(track: Track, road_user: RoadUserClass) -> Track:
+    """The same way, gone by somebody of another class and its usual size."""
+    boxes = track.boxes.copy()
+    boxes[:, 3:6] = road_user.traits.size.size_m
+    boxes[:, 2] = boxes[:, 5] / 2
+    return replace(track, vehicle_class=road_user, boxes=boxes)
+
+
+@pytest.mark.parametrize("crosses", [RoadUserClass.PEDESTRIAN, RoadUserClass.BICYCLE, RoadUserClass.MOTORCYCLE])
+def test_who_is_hit_from_the_side_is_in_conflict_with_the_car(crosses: RoadUserClass) -> None:
+    speed = 1.4 if crosses is RoadUserClass.PEDESTRIAN else 4.0
+    # from 24 m away the car brakes as hard as it can, and stops 3 m before the other's path
+    speeds = np.clip(10 - 6.0 * (np.arange(50) / RATE_HZ - 1.2), 0, 10)
+    car = from_speed(1, (-25.0, 0), 0.0, speeds)
+    other = of_class(straight(2, (0, -2.6 * speed), np.pi / 2, speed), crosses)
+    (conflict,) = find_conflicts([car, other], CONFIG)
+    assert conflict.classes == (RoadUserClass.CAR, crosses)
+    assert conflict.kind is ConflictType.CROSSING
+    assert 0.5 < conflict.ttc_s < 1.5
+
+
+def test_a_car_that_passes_after_somebody_crossed_encroaches() -> None:
+    walker = of_class(straight(2, (0, -4), np.pi / 2, 1.4), RoadUserClass.PEDESTRIAN)
+    car = straight(1, (-50, 0), 0.0, 10)
+    (conflict,) = find_conflicts([car, walker], CONFIG)
+    # who walks is 0.39 m past the lane's edge at y = 1 after (4 + 1 + 0.39) / 1.4 s; the car's front is at x = −0.33
+    # after (50 − 2 − 0.33) / 10 s
+    assert conflict.pet_s == pytest.approx(4.767 - 3.85, abs=0.02)
+    assert conflict.classes == (RoadUserClass.CAR, RoadUserClass.PEDESTRIAN)
+
+
+def test_two_who_walk_are_never_in_conflict() -> None:
+    ways = [straight(1, (-6, 0), 0.0, 1.5), straight(2, (0, -6), np.pi / 2, 1.5)]
+    assert find_conflicts([of_class(way, RoadUserClass.PEDESTRIAN) for way in ways], CONFIG) == []
+    cyclist = of_class(straight(1, (-9, 0), 0.0, 3.0), RoadUserClass.BICYCLE)
+    walker = of_class(straight(2, (0, -6), np.pi / 2, 1.5), RoadUserClass.PEDESTRIAN)
+    (passing,) = find_conflicts([cyclist, walker], CONFIG)
+    assert passing.classes == (RoadUserClass.BICYCLE, RoadUserClass.PEDESTRIAN)
+    assert passing.pet_s < 1.0
+
+
+def test_somebody_in_a_vehicle_is_no_conflict() -> None:
+    bus = of_class(straight(1, (-30, 0), 0.0, 6), RoadUserClass.BUS)
+    seat = of_class(straight(2, (-28, 0.4), 0.0, 6.2), RoadUserClass.PEDESTRIAN)
+    assert find_conflicts([bus, seat], SafetyConfig(min_deceleration_mps2=0.0)) == []

@@ -26,6 +26,7 @@ from wibam_core.errors import (
 from wibam_core.formats.clocks import Clocks
 from wibam_core.formats.framestore import FrameStore, FrameStoreWriter
 from wibam_core.progress import Progress, silent
+from wibam_core.road_users import RoadUserClass
 from wibam_core.scene import ClockMap
 from wibam_core.site import HomographyCalibration, Site, SiteCamera
 from wibam_core.stages import detect, frames, preflight
@@ -301,6 +302,8 @@ def test_frames_stop_when_their_progress_is_refused(three: Run) -> None:
 class BrightSpots:
     """Finds the bright blob of an image, as a truck."""
 
+    classes = (RoadUserClass.CAR, RoadUserClass.VAN, RoadUserClass.TRUCK, RoadUserClass.BUS)
+
     def detect(self, image_bgr: np.ndarray) -> Found:
         rows, columns = np.nonzero(image_bgr[..., 0] > 200)
         if not len(rows):
@@ -344,6 +347,7 @@ def test_convention_detections_are_in_pixels_of_the_recording(tmp_path: Path, mo
     assert run.read(catalogue.DETECTION_STATISTICS).model_dump() == summary
     assert summary["boxes_by_camera"] == {"a": 40, "b": 0}
     assert summary["boxes_by_class"] == {"car": 0, "van": 0, "truck": 40, "bus": 0}
+    assert summary["unknown_classes"] == ["motorcycle", "bicycle", "pedestrian"]
     assert summary["frames"] == 60
     assert seen == sorted(seen)
     assert seen[-1] == 1.0

@@ -116,3 +116,29 @@ def test_smoothing_leaves_what_the_filter_knew_last_and_knows_more_before(
     np.testing.assert_allclose(smoothed.mean[1], filtered.mean, atol=1e-6)
     np.testing.assert_allclose(smoothed.covariance[1], filtered.covariance, atol=1e-6)
     assert np.trace(smoothed.covariance[0]) < np.trace(first.covariance)
+
+
+def test_some_who_walk_among_some_who_drive_move_as_each_alone() -> None:
+    rng = np.random.default_rng(0)
+    classes = np.array([6, 0, 5, 6, 3])
+    assert CLASSES[6] is RoadUserClass.PEDESTRIAN
+    lengths = np.array([CLASSES[k].traits.size.size_m[0] for k in classes])
+    measurement = Measurement(rng.normal(size=(5, 3)), np.full((5, 3), 0.3))
+    speeds = rng.normal(size=(5, 2)) * [3.0, 0.1]
+
+    def moved(model: MotionModel, seen: Measurement, speed: np.ndarray) -> tuple[np.ndarray, ...]:
+        first = model.first_belief(seen)
+        first.mean[..., 3:] = speed
+        later, step = model.predict(first, 0.3)
+        known = update(model, later, Measurement(seen.value + 0.2, seen.sd))
+        return (known.mean, known.covariance, step, *model.centre(known.mean), *model.velocity(known.mean),
+                *model.travel(known.mean), model.speed_sd(known), model.turns_freely)  # fmt: skip
+
+    mixed = model_of(classes, lengths)
+    together = moved(mixed, measurement, speeds)
+    for row in range(5):
+        alone = moved(model_of(classes[row], lengths[row]), measurement.where(row), speeds[row])
+        picked = moved(mixed.where(np.array([row])), measurement.where(np.array([row])), speeds[[row]])
+        for many, one, of_one in zip(together, alone, picked, strict=True):
+            np.testing.assert_allclose(many[row], one, atol=1e-12)
+            np.testing.assert_allclose(of_one[0], one, atol=1e-12)

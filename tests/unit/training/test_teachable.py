@@ -23,7 +23,7 @@ CAR, VAN = RoadUserClass.CAR.number, RoadUserClass.VAN.number
 
 def test_where_all_is_known_nothing_is_left_out(tmp_path: Path) -> None:
     site = tiny_site(tmp_path)
-    taught = Teachable.of(site.instants, site.lifts, {CAR, VAN})
+    taught = Teachable.of(site.instants, site.lifts, {RoadUserClass.CAR, RoadUserClass.VAN})
     assert taught.left_out == {}
     assert taught.cautions() == []
     before, after = (
@@ -40,7 +40,7 @@ def test_where_all_is_known_nothing_is_left_out(tmp_path: Path) -> None:
 def test_boxes_fits_and_views_of_other_classes_go(tmp_path: Path) -> None:
     """The tiny site's second vehicle is a van; all cameras see both."""
     site = tiny_site(tmp_path)
-    taught = Teachable.of(site.instants, site.lifts, {VAN})
+    taught = Teachable.of(site.instants, site.lifts, {RoadUserClass.VAN})
     assert taught.left_out == {"car": len(site.rig) * len(site.instants)}
     views = site_views(taught.instants, site.frames, taught.fits, site.rig)
     for view in views:
@@ -57,7 +57,7 @@ def test_a_box_goes_with_the_road_user_that_it_was_linked_to(tmp_path: Path) -> 
     site = tiny_site(tmp_path)
     for instant in site.instants:
         instant.detections["north"].classes[:] = CAR
-    taught = Teachable.of(site.instants, site.lifts, {CAR})
+    taught = Teachable.of(site.instants, site.lifts, {RoadUserClass.CAR})
     assert taught.left_out == {"car": len(site.instants), "van": 2 * len(site.instants)}
     for instant in taught.instants:
         assert all(len(seen) == 1 for seen in instant.detections.values())
@@ -75,3 +75,12 @@ def test_training_says_what_it_left_out(tmp_path: Path) -> None:
     (caution,) = (warning for warning in folders.warnings if warning.code == "classes_not_taught")
     assert caution.details == {"boxes_2d": {"van": 12}}
     assert read_card(folders.read(catalogue.WEIGHTS)).classes == ("car",)
+
+
+def test_where_no_box_shows_anybody_on_foot_or_two_wheels_nobody_looked_for_them(tmp_path: Path) -> None:
+    site = tiny_site(tmp_path)
+    taught = Teachable.of(site.instants, site.lifts, set(RoadUserClass))
+    people = {RoadUserClass.MOTORCYCLE, RoadUserClass.BICYCLE, RoadUserClass.PEDESTRIAN}
+    assert taught.not_looked_for == people
+    site.instants[0].detections["north"].classes[0] = RoadUserClass.PEDESTRIAN.number
+    assert Teachable.of(site.instants, site.lifts, set(RoadUserClass)).not_looked_for == frozenset()

@@ -48,10 +48,10 @@ _WEIGHTS = DLA34Weights()
 
 
 def heat_part(heads: Mapping[str, Tensor], targets: DLA34Targets, channels: Sequence[int]) -> Tensor:
-    """The focal loss of the channels that find road users, on the heads' device; the other classes learn nothing."""
+    """The focal loss of the channels that find road users, on the heads' device; others learn nothing."""
     logits = heads["hm"][:, channels]
-    heat, judged = targets.heat.to(logits.device), targets.judged.to(logits.device)
-    return focal_loss(logits, heat, judged).cpu().double()
+    heat, judged, asked = (of.to(logits.device) for of in (targets.heat, targets.judged, targets.asked))
+    return focal_loss(logits, heat, judged * asked).cpu().double()
 
 
 def box2d_parts(values: HeadValues, targets: DLA34Targets) -> dict[str, Tensor]:

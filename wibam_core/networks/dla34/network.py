@@ -24,6 +24,7 @@ from wibam_core.networks.dla34.classes import NUSCENES_CLASSES, RoadUserChannels
 from wibam_core.networks.dla34.losses import box2d_parts, heat_part, lifted_parts, multiview_part, values_at
 from wibam_core.networks.dla34.targets import encode
 from wibam_core.placing import Decode
+from wibam_core.road_users import CLASSES, RoadUserClass
 from wibam_core.scene import Vehicles3D
 from wibam_core.training.dataset import SiteView
 from wibam_core.training.multiview import DEFAULT_MULTIVIEW_WEIGHT, OtherViews
@@ -70,6 +71,11 @@ class CenterTrack:
         load_state(module, path)
         return cls(module, card)
 
+    @property
+    def known(self) -> frozenset[RoadUserClass]:
+        """What nuScenes has a name for, or for something close to it: vans are cars there."""
+        return frozenset(c for c, row in zip(CLASSES, self._classes.row_of, strict=True) if row >= 0)
+
     # --- detecting --------------------------------------------------------------------------
     def predict_each(
         self, frames: Iterable[Frame], *, decodes: Sequence[Decode], min_score: float
@@ -107,11 +113,6 @@ class CenterTrack:
         return next(self.module.parameters()).device
 
     # --- learning ---------------------------------------------------------------------------
-    @property
-    def teachable(self) -> frozenset[int]:
-        """What nuScenes has a name for, or for something close to it: vans are cars there."""
-        return frozenset(np.flatnonzero(self._classes.row_of >= 0).tolist())
-
     def reader(self, cache: Path, views: Sequence[SiteView], frames: FrameStore) -> Callable[[int], LabelledView]:
         """Views by number, as the network sees them: 800 px at the longer side."""
         return lambda number: input_view(views[number], frames, self.long_side_px)

@@ -15,6 +15,7 @@ from wibam_core.geometry.camera import Camera
 from wibam_core.geometry.torch_ops import CameraTensors
 from wibam_core.networks.dla34.architecture import STRIDE
 from wibam_core.networks.dla34.classes import RoadUserChannels
+from wibam_core.road_users import CLASSES
 from wibam_core.training.views import FloatArray, LabelledView
 
 #: A projected 3D centre farther than this from the 2D box's centre belongs to a truncated vehicle, whose visible part
@@ -33,7 +34,7 @@ class DLA34Targets:
 
     Attributes:
         heat: (B, K, h, w) in [0, 1], for the channels that find road users. judged: (B, 1, h, w), 0 where the heat is
-            not judged.
+            not judged. asked: (B, K, 1, 1), 0 for channels of road users that nobody looked for in the view.
         image: (N,). cells: (N, 2) x, y. vehicle: (N,) index of the vehicle in the batch.
         centre2d, wh: (N, 2) of the 2D box, cells.
         lifted: (N,) weight of what follows, 0 where it is unknown.
@@ -44,6 +45,7 @@ class DLA34Targets:
 
     heat: Tensor
     judged: Tensor
+    asked: Tensor
     image: Tensor
     cells: Tensor
     vehicle: Tensor
@@ -59,14 +61,16 @@ class DLA34Targets:
 
 
 def encode(views: Sequence[LabelledView], height: int, width: int, classes: RoadUserChannels) -> DLA34Targets:
-    """Targets for views of teachable road users whose maps have the given size, cells."""
+    """Targets for views of known road users whose maps have the given size, cells."""
     heat = np.zeros((len(views), len(classes.channels), height, width), np.float32)
     judged = np.ones((len(views), 1, height, width), np.float32)
+    asked = np.zeros((len(views), len(classes.channels), 1, 1), np.float32)
     rows: list[dict[str, NDArray]] = []
     vehicles = 0
     for index, view in enumerate(views):
         for x0, y0, x1, y1 in np.rint(view.ignored / STRIDE).astype(int):
             judged[index, 0, max(y0, 0) : max(y1, 0), max(x0, 0) : max(x1, 0)] = 0.0
+        asked[index, :, 0, 0] = [CLASSES[number] not in view.not_looked_for for number in classes.numbers]
         taught = _taught(view, height, width)
         for vehicle, cell, wh in zip(taught["vehicle"], taught["cells"], taught["wh"], strict=True):
             _draw_peak(heat[index, classes.row_of[view.classes[vehicle]]], cell, wh)
@@ -76,7 +80,9 @@ def encode(views: Sequence[LabelledView], height: int, width: int, classes: Road
     judged[heat.max(axis=1, keepdims=True) >= 1.0] = 1.0
     joined = {name: torch.from_numpy(np.concatenate([row[name] for row in rows])) for name in rows[0]}
     cameras = CameraTensors.from_cameras([view.camera for view in views], torch.float64)
-    return DLA34Targets(torch.from_numpy(heat), torch.from_numpy(judged), cameras=cameras, **joined)
+    maps = {"heat": heat, "judged": judged, "asked": asked}
+    joined |= {name: torch.from_numpy(values) for name, values in maps.items()}
+    return DLA34Targets(cameras=cameras, **joined)
 
 
 def _taught(view: LabelledView, height: int, width: int) -> dict[str, NDArray]:

@@ -25,6 +25,7 @@ from wibam_core.networks.small.onnx_network import FAMILY_NAME, OnnxNetwork
 from wibam_core.networks.small.predict import Maps, predict_each
 from wibam_core.networks.small.targets import encode
 from wibam_core.placing import Decode
+from wibam_core.road_users import RoadUserClass
 from wibam_core.scene import Vehicles3D
 from wibam_core.training.dataset import ImageCache, SiteView
 from wibam_core.training.multiview import OtherViews
@@ -59,6 +60,11 @@ class SmallMonocular:
         width_px = card.input_width_px or INPUT_WIDTH_PX
         return cls(module, card.model_copy(update={"input_width_px": width_px}))
 
+    @property
+    def known(self) -> frozenset[RoadUserClass]:
+        """What it tells apart."""
+        return self._classes.known
+
     # --- detecting --------------------------------------------------------------------------
     def predict_each(
         self, frames: Iterable[Frame], *, decodes: Sequence[Decode], min_score: float, batch_size: int = 8
@@ -85,11 +91,6 @@ class SmallMonocular:
     def view_width_px(self) -> int:
         """That of its input."""
         return self.card.input_width_px or INPUT_WIDTH_PX
-
-    @property
-    def teachable(self) -> frozenset[int]:
-        """What it tells apart."""
-        return frozenset(self._classes.numbers.tolist())
 
     def reader(self, cache: Path, views: Sequence[SiteView], frames: FrameStore) -> Callable[[int], LabelledView]:
         """Views by number, their prepared images kept in a file."""

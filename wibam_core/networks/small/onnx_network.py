@@ -22,6 +22,7 @@ from wibam_core.networks.small.architecture import SmallOutputs
 from wibam_core.networks.small.export import OUTPUT_FACTS, channels
 from wibam_core.networks.small.predict import Maps, predict_each
 from wibam_core.placing import Decode
+from wibam_core.road_users import RoadUserClass
 from wibam_core.scene import Vehicles3D
 
 #: What weights files and ONNX files call the small network.
@@ -70,6 +71,11 @@ class OnnxNetwork:
         """The network of a file's content; threads as in `load`."""
         source = "the exported network"
         return cls(open_session(content, source, threads=threads or torch.get_num_threads(), hint=_EXPECTED), source)
+
+    @property
+    def known(self) -> frozenset[RoadUserClass]:
+        """What it tells apart."""
+        return self._classes.known
 
     def predict_each(
         self, frames: Iterable[Frame], *, decodes: Sequence[Decode], min_score: float, batch_size: int = 8

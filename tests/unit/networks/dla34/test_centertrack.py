@@ -183,6 +183,7 @@ def test_classes_are_ours_or_left_out() -> None:
     ]
     found, _ = decoded(camera, *truths)
     kinds = [RoadUserClass.CAR, RoadUserClass.TRUCK, RoadUserClass.BUS, RoadUserClass.TRUCK]
+    kinds += [RoadUserClass.PEDESTRIAN, RoadUserClass.MOTORCYCLE, RoadUserClass.BICYCLE]
     assert found.classes.tolist() == [kind.number for kind in kinds]
     assert {"car", "truck", "bus", "construction_vehicle"} <= set(FOUND)
     assert not {"trailer", "traffic_cone", "barrier"} & set(FOUND)

@@ -18,11 +18,12 @@ from wibam_core.models.network import predict
 from wibam_core.networks.dla34.architecture import DLA34, HEADS
 from wibam_core.networks.dla34.centertrack import InputWarp, boxes3d, decode_vehicles, read_heads
 from wibam_core.networks.dla34.classes import NUSCENES_CLASSES, RoadUserChannels
-from wibam_core.networks.dla34.losses import lifted_parts
+from wibam_core.networks.dla34.losses import heat_part, lifted_parts
 from wibam_core.networks.dla34.network import CenterTrack, input_view, stacked
 from wibam_core.networks.dla34.targets import encode
 from wibam_core.networks.registry import load_network, save_network
 from wibam_core.progress import silent
+from wibam_core.road_users import RoadUserClass
 from wibam_core.training.dataset import SiteView, site_views
 from wibam_core.training.finetune import FinetuneResult, SiteDataset, finetune
 from wibam_core.training.multiview import OtherCameras
@@ -266,3 +267,15 @@ def test_images_of_several_sizes_are_padded_to_one() -> None:
     assert batch.shape == (2, 64, 64, 3)
     assert batch[0].sum() == 7 * 32 * 64 * 3
     assert batch[1].sum() == 9 * 32 * 64 * 3
+
+
+def test_heat_of_road_users_that_nobody_looked_for_is_not_judged() -> None:
+    """A detector of vehicles says nothing of pedestrians: a network that knows them must not learn to see none."""
+    view, warp = labelled(0)
+    width, height = (side // 4 for side in warp.input_px)
+    heads = {"hm": torch.randn(1, 10, height, width, generator=torch.Generator().manual_seed(0), requires_grad=True)}
+    blind = replace(view, not_looked_for=frozenset({RoadUserClass.PEDESTRIAN}))
+    heat_part(heads, encode([blind], height, width, CLASSES), CLASSES.channels).backward()
+    learned = heads["hm"].grad[0].abs().amax(dim=(1, 2)) > 0
+    names = {name for name, moved in zip(NUSCENES_CLASSES, learned.tolist(), strict=True) if moved}
+    assert names == {"car", "truck", "bus", "motorcycle", "bicycle", "construction_vehicle"}
