@@ -63,14 +63,14 @@ class _Active:
 
     def follow(self, seen: Detections2D, count: int) -> tuple[IntArray, int]:
         """Numbers (N,) of the boxes seen, new ones from ``count`` on, and the next new number."""
-        now_s = seen.frame_time_ns * 1e-9
+        now_s, found = seen.frame_time_ns * 1e-9, seen.whole_boxes
         alive = now_s - self.times_s <= self._max_gap_s
         since = (now_s - self.times_s[alive])[:, None]
         ids, boxes, speeds = self.ids[alive], self.boxes[alive], self.speeds[alive]
         times_s, vulnerable = self.times_s[alive], self.vulnerable[alive]
         now_vulnerable = VULNERABLE[seen.classes]
         expected = _widened(boxes + speeds * since, vulnerable)
-        overlap = image_iou(expected, _widened(seen.whole_boxes, now_vulnerable))
+        overlap = image_iou(expected, _widened(found, now_vulnerable))
         allowed = vulnerable[:, None] == now_vulnerable
         allowed &= overlap >= np.maximum(_IOU_AT_ONCE - _IOU_PER_S * since, _LEAST_IOU)
         rows, columns = linear_sum_assignment(np.where(allowed, -overlap, 0.0))
@@ -80,11 +80,11 @@ class _Active:
         names[columns] = ids[rows]
         fresh = np.flatnonzero(names < 0)
         names[fresh] = count + np.arange(len(fresh))
-        moved = (seen.whole_boxes[columns] - boxes[rows]) / np.maximum(since[rows], 1e-3)
+        moved = (found[columns] - boxes[rows]) / np.maximum(since[rows], 1e-3)
         speeds[rows] += _SPEED_GAIN * (moved - speeds[rows])
-        boxes[rows], times_s[rows] = seen.whole_boxes[columns], now_s
+        boxes[rows], times_s[rows] = found[columns], now_s
         self.ids = np.concatenate([ids, names[fresh]])
-        self.boxes = np.concatenate([boxes, seen.whole_boxes[fresh]])
+        self.boxes = np.concatenate([boxes, found[fresh]])
         self.speeds = np.concatenate([speeds, np.zeros((len(fresh), 4))])
         self.times_s = np.concatenate([times_s, np.full(len(fresh), now_s)])
         self.vulnerable = np.concatenate([vulnerable, now_vulnerable[fresh]])
