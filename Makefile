@@ -53,7 +53,7 @@ fix: $(READY) ## format the code and mend what the linter can mend
 
 weights: $(READY) ## train the bundled networks again from simulated images (hours without a GPU): build/weights
 	$(BIN)/python -m wibam_core.pretraining.detector --out build/weights
-	$(BIN)/python -m wibam_core.pretraining.refiner --out build/weights/refiner --steps 5000 --images 4000 --workers 1
+	$(BIN)/python -m wibam_core.pretraining.edge_refiner --out build/weights/edge_refiner --steps 5000 --images 4000 --workers 1
 	$(BIN)/python -m wibam_core.pretraining.monocular --out build/weights/1 --steps 9500 --images 42000 --shard 280 \
 		--batch 32 --learning-rate 2.5e-3 --seed 30000 --rendered 544 384 --zoom 0.7 1.45 --checkpoint-every 2000 \
 		--device auto --workers 14

@@ -165,7 +165,7 @@ import cv2, numpy as np
 from tests.builders import corner_rig
 from wibam_core.detection.background import StillBackground
 from wibam_core.detection.detector import BUNDLED, load_detector
-from wibam_core.detection.refine import EdgeRefiner
+from wibam_core.detection.edge_refiner import EdgeRefiner
 from wibam_core.models.frames import Frame
 from wibam_core.models.network import predict
 from wibam_core.models.weights import bundled

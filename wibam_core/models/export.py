@@ -13,7 +13,7 @@ import torch
 from torch import Tensor, nn
 
 from wibam_core.models.detector2d import Detector2D, ExportedDetector2D
-from wibam_core.models.refiner2d import Refiner2D, RefinerOutputs
+from wibam_core.models.edge_refiner import EdgeRefinerNetwork, EdgeRefinerOutputs
 from wibam_core.models.taught import TAUGHT
 from wibam_core.models.trunk import STRIDE
 
@@ -40,13 +40,13 @@ def export_detector2d(detector: Detector2D, path: Path, width_px: int = 512, hei
     write_whole(model, path)
 
 
-def export_refiner2d(refiner: Refiner2D, path: Path, crop_px: int) -> None:
+def export_edge_refiner(refiner: EdgeRefinerNetwork, path: Path, crop_px: int) -> None:
     """Write the edge refiner as one ONNX file, whole or not at all.
 
-    Input ``image`` (B, 7, S, S); the outputs, each (B, 4), are named as the fields of `RefinerOutputs`. B is dynamic,
-    S is ``crop_px``. Metadata: ``family``, ``classes`` (a JSON list), ``crop_px``.
+    Input ``image`` (B, 7, S, S); the outputs, each (B, 4), are named as the fields of `EdgeRefinerOutputs`. B is
+    dynamic, S is ``crop_px``. Metadata: ``family``, ``classes`` (a JSON list), ``crop_px``.
     """
-    outputs = RefinerOutputs._fields
+    outputs = EdgeRefinerOutputs._fields
     model = onnx_file(
         copy.deepcopy(refiner),
         torch.zeros(1, 7, crop_px, crop_px),

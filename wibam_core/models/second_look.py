@@ -15,7 +15,7 @@ from torch import Tensor
 
 from wibam_core.detection.background import StillBackground
 from wibam_core.detection.boxes import Found
-from wibam_core.detection.refine import EdgeRefiner
+from wibam_core.detection.edge_refiner import EdgeRefiner
 from wibam_core.geometry.boxes2d import clipped_to_image, sides_px
 
 FloatArray = NDArray[np.float64]

@@ -29,7 +29,7 @@ from wibam_core.formats.framestore import FrameStore
 from wibam_core.progress import Progress, part
 from wibam_core.scene import Boxes2D, FrameKey
 from wibam_core.stages.base import StageContext, Summary
-from wibam_core.stages.edges import background_frames, refine_all
+from wibam_core.stages.second_look import background_frames, look_again
 
 #: Frames that are in work at one time.
 _CHUNK = 64
@@ -68,7 +68,7 @@ def run(context: StageContext, config: DetectConfig) -> Summary:
         raise NoVehicles(f"no vehicle was detected in {len(frames)} frames of {len(store.camera_ids)} cameras")
     if refined:
         context.write(BACKGROUND_DETECTIONS, {frame: looks[frame] for frame in of_backgrounds})
-        seen = known | dict(refine_all(store, missing, looks, shown, config, part(context.progress, 0.5, 1.0)))
+        seen = known | dict(look_again(store, missing, looks, shown, config, part(context.progress, 0.5, 1.0)))
     detected = {frame: seen[frame] for frame in frames}
     context.progress(1.0, f"{len(missing)} of {len(frames)} frames were new")
     context.write(DETECTIONS, detected)

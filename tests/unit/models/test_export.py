@@ -9,8 +9,8 @@ import pytest
 import torch
 
 from wibam_core.models.detector2d import Detector2D, ExportedDetector2D
-from wibam_core.models.export import export_detector2d, export_refiner2d
-from wibam_core.models.refiner2d import Refiner2D
+from wibam_core.models.edge_refiner import EdgeRefinerNetwork
+from wibam_core.models.export import export_detector2d, export_edge_refiner
 from wibam_core.models.taught import TAUGHT
 from wibam_core.models.trunk import TrunkShape
 
@@ -45,9 +45,9 @@ def test_the_onnx_file_agrees_with_the_network_at_any_size(tmp_path: Path) -> No
 @pytest.mark.filterwarnings("ignore::DeprecationWarning", "ignore::UserWarning")
 def test_the_exported_refiner_agrees_with_the_network_for_any_number_of_crops(tmp_path: Path) -> None:
     torch.manual_seed(0)
-    refiner = Refiner2D().eval()
+    refiner = EdgeRefinerNetwork().eval()
     path = tmp_path / "refiner.onnx"
-    export_refiner2d(refiner, path, 96)
+    export_edge_refiner(refiner, path, 96)
     session = onnxruntime.InferenceSession(str(path), providers=["CPUExecutionProvider"])
     assert session.get_modelmeta().custom_metadata_map["family"] == "wibam-edges"
     for count in (1, 5):

@@ -6,7 +6,7 @@ import torch
 
 from wibam_core.detection.background import StillBackground
 from wibam_core.detection.boxes import Found
-from wibam_core.detection.refine import EdgeRefiner
+from wibam_core.detection.edge_refiner import EdgeRefiner
 from wibam_core.models.second_look import SecondLook
 from wibam_core.synthetic.sampling import RenderedView, sample_views
 

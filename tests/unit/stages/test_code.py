@@ -57,8 +57,8 @@ def test_a_stage_depends_on_all_that_python_finds_it_to_import(stage: str) -> No
 def test_every_data_file_belongs_to_a_stage_that_spells_its_name() -> None:
     tree = SourceTree(ROOT / "wibam_core")
     data = {stage: set(tree.closure([f"wibam_core.stages.{stage}"]).data) for stage in STAGES}
-    assert data["detect"] == {"models/bundled/detector2d.onnx", "models/bundled/refiner2d.onnx"}
-    assert data["finetune"] == {"models/bundled/mono_small.safetensors", "models/bundled/refiner2d.onnx"}
+    assert data["detect"] == {"models/bundled/detector2d.onnx", "models/bundled/edge_refiner.onnx"}
+    assert data["finetune"] == {"models/bundled/mono_small.safetensors", "models/bundled/edge_refiner.onnx"}
     assert data["report"] == {"report/report.html.j2", "report/style.html.j2"}  # the first includes the second
     shipped = {p.name for suffix in ("onnx", "safetensors", "j2") for p in (ROOT / "wibam_core").rglob(f"*.{suffix}")}
     assert shipped == {Path(path).name for paths in data.values() for path in paths}

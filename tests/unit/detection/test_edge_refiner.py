@@ -5,7 +5,7 @@ import pytest
 
 from wibam_core.detection.background import StillBackground
 from wibam_core.detection.boxes import Found
-from wibam_core.detection.refine import EdgeRefiner
+from wibam_core.detection.edge_refiner import EdgeRefiner
 from wibam_core.road_users import RoadUserClass
 from wibam_core.synthetic.sampling import RenderedView, sample_views
 

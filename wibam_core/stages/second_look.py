@@ -11,7 +11,7 @@ from itertools import groupby, repeat
 from wibam_core.config import DetectConfig
 from wibam_core.detection.background import BackgroundFrames, StillBackground, still_background
 from wibam_core.detection.boxes import Found
-from wibam_core.detection.refine import EdgeRefiner
+from wibam_core.detection.edge_refiner import EdgeRefiner
 from wibam_core.formats.framestore import FrameStore
 from wibam_core.geometry.pixels import scale_of
 from wibam_core.progress import Progress
@@ -27,7 +27,7 @@ def background_frames(frames: Iterable[FrameKey], shown: Shown) -> list[FrameKey
     return [FrameKey(camera_id, ns) for camera_id, block in blocks for ns in shown[camera_id].of_block(block)]
 
 
-def refine_all(
+def look_again(
     store: FrameStore,
     frames: Sequence[FrameKey],
     first_looks: Mapping[FrameKey, Boxes2D],

@@ -1,6 +1,6 @@
 """Make the bundled edge refiner: 2D boxes against the still background of other simulated sites' elevated views.
 
-python -m wibam_core.pretraining.refiner --out build/pretrain_refiner --steps 5000 --images 4000 --workers 1
+python -m wibam_core.pretraining.edge_refiner --out build/edge_refiner --steps 5000 --images 4000 --workers 1
 """
 
 from __future__ import annotations
@@ -23,8 +23,8 @@ from wibam_core.detection.background import UNKNOWN
 from wibam_core.detection.crops import CROP_PX, Window, blob
 from wibam_core.geometry.boxes2d import clipped_to_image
 from wibam_core.geometry.pixels import resized_image
-from wibam_core.models.export import export_refiner2d
-from wibam_core.models.refiner2d import Refiner2D
+from wibam_core.models.edge_refiner import EdgeRefinerNetwork
+from wibam_core.models.export import export_edge_refiner
 from wibam_core.pretraining.common import (
     VIEWS_PER_SITE,
     PoolPlan,
@@ -179,7 +179,7 @@ class CropBatches(IterableDataset[Crops]):
             )
 
 
-def losses(network: Refiner2D, batch: Crops) -> dict[str, Tensor]:
+def losses(network: EdgeRefinerNetwork, batch: Crops) -> dict[str, Tensor]:
     """L1 of the edges, likelihood of the whole vehicle's errors under the scales, cross entropy of the classes."""
     with Precision.of(batch.images.device).autocast():
         maps, summary = network.features(batch.images)
@@ -195,7 +195,7 @@ def losses(network: Refiner2D, batch: Crops) -> dict[str, Tensor]:
     return {**weighted, "total": torch.stack(list(weighted.values())).sum()}
 
 
-def measure(network: Refiner2D, found: list[Patch]) -> dict[str, Any]:
+def measure(network: EdgeRefinerNetwork, found: list[Patch]) -> dict[str, Any]:
     """Errors of edges in shares of their box's side: before and after, of edges in sight and of hidden ones; the mean
     of the errors in expected ones; and the share of right classes."""
     rng = np.random.default_rng(5)
@@ -234,7 +234,7 @@ def measure(network: Refiner2D, found: list[Patch]) -> dict[str, Any]:
 
 def main() -> None:
     parser = argparse.ArgumentParser(description="Train the bundled edge refiner on simulated elevated views.")
-    parser.add_argument("--out", type=Path, default=Path("build/pretrain_refiner"), help="folder for weights and log")
+    parser.add_argument("--out", type=Path, default=Path("build/edge_refiner"), help="folder for weights and log")
     add_options(parser, steps=5000, images=4000, batch=64)
     arguments = parser.parse_args()
     device = prepare(arguments)
@@ -243,12 +243,12 @@ def main() -> None:
         arguments.steps, TRAINING_SEED + arguments.seed, "elevated", arguments.images, arguments.shard, SIZES_PX[0]
     )
 
-    def checkpoint(averaged: Refiner2D, step: int) -> dict[str, Any]:
-        export_refiner2d(averaged, arguments.out / "refiner2d.onnx", CROP_PX)
+    def checkpoint(averaged: EdgeRefinerNetwork, step: int) -> dict[str, Any]:
+        export_edge_refiner(averaged, arguments.out / "edge_refiner.onnx", CROP_PX)
         return measure(averaged, validation)
 
     data = ahead(CropBatches(plan, arguments.steps, arguments.batch, arguments.seed), arguments.workers)
-    pretrain_as_asked(arguments, Refiner2D(), data, losses, checkpoint, device)
+    pretrain_as_asked(arguments, EdgeRefinerNetwork(), data, losses, checkpoint, device)
 
 
 if __name__ == "__main__":

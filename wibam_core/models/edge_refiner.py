@@ -23,7 +23,7 @@ _HIDDEN = 64
 _LOG_SCALES = (-7.0, 0.0)
 
 
-class RefinerOutputs(NamedTuple):
+class EdgeRefinerOutputs(NamedTuple):
     """What is said of B crops; lengths are shares of the crop, order left, top, right, bottom.
 
     Attributes:
@@ -44,8 +44,8 @@ class RefinerOutputs(NamedTuple):
         return self.edges + self.reach * self.reach.new_tensor([-1.0, -1.0, 1.0, 1.0])
 
 
-class Refiner2D(nn.Module):
-    """Crops (B, 7, S, S), S a multiple of 16, to `RefinerOutputs`.
+class EdgeRefinerNetwork(nn.Module):
+    """Crops (B, 7, S, S), S a multiple of 16, to `EdgeRefinerOutputs`.
 
     Channels are the image and the background, BGR in 0..1, and 1 where the background is known.
 
@@ -88,7 +88,7 @@ class Refiner2D(nn.Module):
             merged = level + functional.interpolate(merged, scale_factor=2.0, mode="nearest")
         return self.merge(merged), x.mean(dim=(2, 3))
 
-    def heads(self, maps: Tensor, summary: Tensor) -> RefinerOutputs:
+    def heads(self, maps: Tensor, summary: Tensor) -> EdgeRefinerOutputs:
         """What `features` say."""
         (x, at_x), (y, at_y) = (
             self._ends(maps, along, place) for along, place in zip((2, 3), self.places, strict=True)
@@ -98,7 +98,7 @@ class Refiner2D(nn.Module):
         which = torch.zeros_like(edges)[..., None] + torch.eye(4, dtype=edges.dtype, device=edges.device)
         said = self.beyond(torch.cat([context, summary[:, None].expand(-1, 4, -1), which], dim=2))
         reach = functional.softplus(4.0 * said[..., 0]) / 4.0
-        return RefinerOutputs(edges, reach, said[..., 1].clamp(*_LOG_SCALES), self.classes(summary))
+        return EdgeRefinerOutputs(edges, reach, said[..., 1].clamp(*_LOG_SCALES), self.classes(summary))
 
     def _ends(self, maps: Tensor, along: int, place: nn.Module) -> tuple[Tensor, Tensor]:
         """(B, 2) where the vehicle begins and ends, seen along axis 2 (columns are left) or 3 (rows are left), and the
@@ -110,5 +110,5 @@ class Refiner2D(nn.Module):
         centres = torch.linspace(-0.05, 1.05, count, dtype=share.dtype, device=share.device)
         return (share * centres).sum(dim=-1), share @ profile.transpose(1, 2)
 
-    def forward(self, crops: Tensor) -> RefinerOutputs:
+    def forward(self, crops: Tensor) -> EdgeRefinerOutputs:
         return self.heads(*self.features(crops))

@@ -12,11 +12,11 @@ import pytest
 import torch
 
 from wibam_core.detection.crops import CROP_PX
-from wibam_core.models.export import export_refiner2d
-from wibam_core.models.refiner2d import Refiner2D
-from wibam_core.pretraining import refiner
+from wibam_core.models.edge_refiner import EdgeRefinerNetwork
+from wibam_core.models.export import export_edge_refiner
+from wibam_core.pretraining import edge_refiner
 from wibam_core.pretraining.common import PoolPlan, is_taught
-from wibam_core.pretraining.refiner import CropBatches, Patch, patches, sample
+from wibam_core.pretraining.edge_refiner import CropBatches, Patch, patches, sample
 from wibam_core.synthetic.sampling import sample_views
 
 SEED = 991_000
@@ -75,14 +75,14 @@ def test_a_seed_gives_the_same_batches() -> None:
 def test_the_script_trains(device: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     if device == "cuda" and not torch.cuda.is_available():
         pytest.skip("there is no CUDA device here")
-    monkeypatch.setattr(refiner, "VALIDATION_VIEWS", 20)
+    monkeypatch.setattr(edge_refiner, "VALIDATION_VIEWS", 20)
     words = ["--steps", "60", "--images", "20", "--batch", "4", "--checkpoint-every", "60", "--device", device]
     monkeypatch.setattr("sys.argv", ["script", "--out", str(tmp_path), *words])
-    refiner.main()
+    edge_refiner.main()
     training, validation = (json.loads(line) for line in (tmp_path / "log.jsonl").read_text().splitlines())
     assert (training["step"], validation["step"]) == (50, 60)
     assert np.isfinite(list(training.values())).all() and np.isfinite(list(validation.values())).all()
     assert 0 < validation["hidden_share"] < 0.5
     torch.manual_seed(0)
-    export_refiner2d(Refiner2D(), tmp_path / "start", CROP_PX)
-    assert (tmp_path / "start").read_bytes() != (tmp_path / "refiner2d.onnx").read_bytes()
+    export_edge_refiner(EdgeRefinerNetwork(), tmp_path / "start", CROP_PX)
+    assert (tmp_path / "start").read_bytes() != (tmp_path / "edge_refiner.onnx").read_bytes()

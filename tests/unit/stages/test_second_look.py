@@ -8,12 +8,12 @@ import pytest
 from wibam_core.config import DetectConfig
 from wibam_core.detection.background import BackgroundFrames, StillBackground, still_background
 from wibam_core.detection.boxes import Found
-from wibam_core.detection.refine import EdgeRefiner
+from wibam_core.detection.edge_refiner import EdgeRefiner
 from wibam_core.formats.framestore import FrameStore, FrameStoreWriter
 from wibam_core.progress import Progress, silent
 from wibam_core.scene import Boxes2D, FrameKey
-from wibam_core.stages import edges
-from wibam_core.stages.edges import background_frames, refine_all
+from wibam_core.stages import second_look
+from wibam_core.stages.second_look import background_frames, look_again
 from wibam_core.synthetic.cameras import site_cameras
 from wibam_core.synthetic.layout import make_layout
 from wibam_core.synthetic.lighting import develop, sample_lighting, sample_photometry
@@ -43,7 +43,7 @@ class Recorded:
 
     def refined(self, progress: Progress = silent, block_s: float = 120.0, **options: str) -> dict[FrameKey, Boxes2D]:
         config = DetectConfig(**options)
-        return dict(refine_all(self.store, self.frames, self.seen, self.shown(block_s), config, progress))
+        return dict(look_again(self.store, self.frames, self.seen, self.shown(block_s), config, progress))
 
     def background(self) -> StillBackground:
         there = background_frames(self.frames, self.shown())
@@ -134,7 +134,7 @@ def test_a_block_of_minutes_has_its_own_background(recorded: Recorded, monkeypat
         made.append(len(images))
         return still_background(images, boxes)
 
-    monkeypatch.setattr(edges, "still_background", background)
+    monkeypatch.setattr(second_look, "still_background", background)
     assert len(recorded.refined(block_s=4.0)) == len(recorded.frames)
     assert len(made) == 3 and sum(made) == len(recorded.frames)
 
@@ -143,6 +143,6 @@ def test_what_a_frame_shows_does_not_depend_on_the_other_frames(recorded: Record
     """Those of its background aside, which are always the same."""
     together = recorded.refined()
     for frame in recorded.frames[::4]:
-        alone = dict(refine_all(recorded.store, [frame], recorded.seen, recorded.shown(), DetectConfig(), silent))
+        alone = dict(look_again(recorded.store, [frame], recorded.seen, recorded.shown(), DetectConfig(), silent))
         for one, other in zip(alone[frame], together[frame], strict=True):
             np.testing.assert_array_equal(one, other)

@@ -15,7 +15,7 @@ from wibam_core.geometry.boxes2d import clipped_to_image, non_maximum_suppressio
 from wibam_core.scene import Boxes2D
 
 #: The refiner that comes with the project; learned from simulated images.
-BUNDLED_REFINER = Path(__file__).resolve().parent.parent / "models" / "bundled" / "refiner2d.onnx"
+BUNDLED_EDGE_REFINER = Path(__file__).resolve().parent.parent / "models" / "bundled" / "edge_refiner.onnx"
 
 #: An edge is moved by at most this share of its box's side in all; a refiner that wants more has not understood it.
 _MOST_MOVED = 0.3
@@ -27,13 +27,13 @@ _SD_OF_ABSOLUTE_ERROR = 1.25
 
 
 class EdgeRefiner:
-    """Runs the bundled refiner (`wibam_core.models.refiner2d`) on one thread.
+    """Runs the bundled refiner (`wibam_core.models.edge_refiner`) on one thread.
 
     Attributes:
         classes: what it has learned the edges of. Boxes of other classes stay as they are.
     """
 
-    def __init__(self, path: Path = BUNDLED_REFINER) -> None:
+    def __init__(self, path: Path = BUNDLED_EDGE_REFINER) -> None:
         options = onnxruntime.SessionOptions()
         options.intra_op_num_threads = options.inter_op_num_threads = 1
         self._session = onnxruntime.InferenceSession(str(path), options, providers=["CPUExecutionProvider"])
