@@ -12,6 +12,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from tests.unit.test_howtos import steps
 from wibam_core.errors import InputError
 from wibam_core.formats.annotations import read_annotations
 from wibam_core.formats.tracks import read_tracks
@@ -61,34 +62,8 @@ def test_convention_sizes_are_length_width_height() -> None:
     assert sizes[RoadUserClass.PEDESTRIAN.number].argmax() == 2
 
 
-#: An entry as a person would write it, at the end of the catalogue.
-TRAM = """
-    TRAM = (
-        "tram",
-        Traits(
-            size=SizePrior((20.0, 2.5, 3.4), (0.2, 0.05, 0.05)),
-            body=(
-                *ring(0.5, -0.5, 0.02, 0.5, 0.45, 0.1),
-                *ring(0.5, -0.5, 0.02, 0.5, 0.45, 0.9),
-                *pairs((0.3, 0.47, 0.0), (-0.3, 0.47, 0.0), (0.46, 0.44, 1.0), (-0.46, 0.44, 1.0)),
-            ),
-            plane_height_m=1.5,
-            place_scale=1.8,
-            motion=_MOTORING,
-            vulnerable=False,
-            colour="#444444",
-            elsewhere=NamesElsewhere(
-                coco=same("train"),
-                nuscenes=ForeignName(None),
-                kitti=same("Tram"),
-                openlabel=ForeignName("OTHER"),
-                levelx=ForeignName(None),
-                opentrafficcam="other",
-                sumo="tram",
-            ),
-        ),
-    )
-"""
+#: The entry that the how-to writes, at the end of the catalogue.
+TRAM = next(steps(ROOT / "docs" / "howto" / "class.md")).code
 
 #: Runs before anything else of the project is imported, with the catalogue's source and the entry.
 PATCH = """
