@@ -18,11 +18,21 @@ _CLEAR_Z, _CLEAR_RATIO = 2.58, 1.25
 def advice(metrics: Metrics) -> list[str]:
     """A few sentences: what changed, whether that is more than chance, what to do."""
     if metrics.baseline is None or metrics.finetuned is None:
-        return _without_labels(metrics)
+        return [*_without_labels(metrics), *_not_asked_for(metrics)]
     return [
         _what_changed(metrics.baseline, metrics.finetuned),
         _verdict(metrics.baseline, metrics.finetuned, (metrics.significance or {}).get("bev_iou")),
         *_reservations(metrics.baseline, metrics.finetuned, metrics.significance or {}),
+        *_not_asked_for(metrics),
+    ]
+
+
+def _not_asked_for(metrics: Metrics) -> list[str]:
+    if not metrics.not_asked_for:
+        return []
+    return [
+        f"The networks do not know these road users, which are in no figure and no track: "
+        f"{', '.join(metrics.not_asked_for)}."
     ]
 
 

@@ -17,4 +17,10 @@ def run(context: StageContext, config: SafetyConfig) -> Summary:
     conflicts = find_conflicts(tracks, config, progress=context.progress)
     context.write(CONFLICTS, conflicts_document(conflicts, config))
     kinds = Counter(conflict.kind.value for conflict in conflicts)
-    return {"conflicts": len(conflicts), "tracks": len(tracks), "by_type": dict(sorted(kinds.items()))}
+    road_users = Counter(" and ".join(sorted(conflict.classes)) for conflict in conflicts)
+    return {
+        "conflicts": len(conflicts),
+        "tracks": len(tracks),
+        "by_type": dict(sorted(kinds.items())),
+        "by_road_users": dict(sorted(road_users.items())),
+    }

@@ -35,6 +35,13 @@ def test_advice_for_a_real_gain():
     assert "use the fine-tuned weights" in text
 
 
+def test_road_users_that_no_network_knows_are_said_to_be_missing() -> None:
+    for labels in (True, False):
+        document = metrics_json(labels=labels)
+        assert "no track: motorcycle, bicycle, pedestrian." in advice(Metrics.model_validate(document))[-1]
+        assert "do not know" not in " ".join(advice(Metrics.model_validate({**document, "not_asked_for": []})))
+
+
 def test_advice_for_chance_is_to_record_longer():
     text = " ".join(advice(changed(bev_iou={"p_bootstrap": 0.2})))
     assert "may be chance" in text and "use the fine-tuned weights at" not in text

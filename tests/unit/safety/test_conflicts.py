@@ -225,6 +225,7 @@ def test_the_stage_writes_conflicts_as_json(tmp_path: Path) -> None:
     written = json.loads(folders.place(CONFLICTS).read_text())
     assert summary["conflicts"] == len(written["conflicts"]) == 1
     assert written["conflicts"][0]["type"] == "crossing"
+    assert summary["by_road_users"] == {"car and car": 1}
     assert written["conflicts"][0]["pet_s"] == pytest.approx(0.5, abs=0.01)
     assert written["thresholds"]["pet_s"] == 2.0
 
