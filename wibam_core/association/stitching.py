@@ -23,15 +23,18 @@ from wibam_core.scene import FloatArray, IntArray
 
 #: The end of a track is what was seen of it within this time.
 _END_S = 1.5
+#: Standard deviation of a speed, along each axis, before anything of the vehicle was seen.
 _USUAL_SPEED_MPS = 10.0
 #: A vehicle slower than this stands.
 _STANDING_MPS = 1.0
-#: S.d. of a moving vehicle's acceleration meanwhile, about the mean of both ends' speeds and between them; of those
-#: speeds; and of a standing vehicle's place.
-_ACCELERATION_MPS2, _MEAN_ACCELERATION_MPS2, _SPEED_SD_MPS, _CREEP_M = 1.0, 2.0, 1.5, 0.6
-#: What a second of being hidden costs, and a change of class; pairs are not made farther off than the gate, nor where
-#: that and the spread of the places cost more than the most.
+#: A moving vehicle is expected where the mean of its velocities before and after takes it. Standard deviation of the
+#: acceleration that leads it elsewhere, of the mean acceleration from the one velocity to the other, and of a velocity.
+_ACCELERATION_MPS2, _MEAN_ACCELERATION_MPS2, _SPEED_SD_MPS = 1.0, 2.0, 1.5
+#: Standard deviation of how far a standing vehicle creeps while it is hidden.
+_CREEP_M = 0.6
+#: Costs are twice a negative log-likelihood: that of a second of being hidden, and of a change of class.
 _COST_PER_S, _CLASS_CHANGE_COST = 0.1, 2.0
+#: A track is not gone on with by one that begins more than so many standard deviations off, nor where that costs more.
 _GATE_SD, _MOST_COST = 2.0, 4.5
 
 

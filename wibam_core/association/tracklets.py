@@ -12,8 +12,8 @@ from wibam_core.geometry.boxes2d import image_iou
 from wibam_core.road_users import VULNERABLE
 from wibam_core.scene import AnnotatedInstant, Detections2D, FloatArray, IntArray
 
-#: A box that overlaps where another was expected by less than this is none of its vehicle's: right after that was seen,
-#: and less for every second since, down to the least.
+#: A box goes on with a vehicle if its IoU with where that is expected is at least the first number right after the
+#: vehicle was seen; the second is what is taken off for every second since, and the third the least that is asked for.
 _IOU_AT_ONCE, _IOU_PER_S, _LEAST_IOU = 0.55, 0.5, 0.3
 #: People and their two-wheelers are narrow, and move by much of their width from one frame to the next: their boxes are
 #: widened on every side by this share of their sides before they are compared (as by Yang et al. 2023,

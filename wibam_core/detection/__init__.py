@@ -1,1 +1,1 @@
-"""2D vehicle detection by ONNX networks: the bundled one, or a user's of the YOLOX family."""
+"""Finding road users in images by ONNX networks: the bundled one, or a user's of any family of `detector`."""
