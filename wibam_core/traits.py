@@ -9,6 +9,20 @@ from numpy.typing import NDArray
 
 FloatArray = NDArray[np.float64]
 
+#: The classes of the nuScenes detection challenge (Caesar et al. 2020, arXiv 1903.11027) in the order of their numbers.
+NUSCENES_CLASSES = (
+    "car",
+    "truck",
+    "bus",
+    "trailer",
+    "construction_vehicle",
+    "pedestrian",
+    "motorcycle",
+    "bicycle",
+    "traffic_cone",
+    "barrier",
+)
+
 #: Points of a body: x in lengths and y in widths from the centre, z in heights above the ground.
 Outline = tuple[tuple[float, float, float], ...]
 

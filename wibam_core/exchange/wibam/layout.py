@@ -19,23 +19,12 @@ from typing import Annotated, Any
 
 from pydantic import BaseModel, BeforeValidator, ConfigDict, Field
 
+from wibam_core.traits import NUSCENES_CLASSES
+
 PERIOD_NS = 80_000_000
 SUBSETS = ("train", "val", "test")
 #: Width and height of the published frames.
 SIZE_PX = (1920, 1080)
-#: nuScenes' detection classes in the order of their numbers, from 1 on.
-CATEGORIES = (
-    "car",
-    "truck",
-    "bus",
-    "trailer",
-    "construction_vehicle",
-    "pedestrian",
-    "motorcycle",
-    "bicycle",
-    "traffic_cone",
-    "barrier",
-)
 
 
 def _flat(value: Any) -> Any:
@@ -85,4 +74,4 @@ class Category(BaseModel):
 class Dataset(BaseModel):
     images: tuple[Image, ...] = Field(min_length=1)
     annotations: tuple[Annotation, ...]
-    categories: tuple[Category, ...] = tuple(Category(id=i, name=name) for i, name in enumerate(CATEGORIES, 1))
+    categories: tuple[Category, ...] = tuple(Category(id=i, name=name) for i, name in enumerate(NUSCENES_CLASSES, 1))

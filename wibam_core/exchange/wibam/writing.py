@@ -14,9 +14,10 @@ from wibam_core.errors import InputError
 from wibam_core.exchange.base import Content
 from wibam_core.exchange.boxes import corner_xywh
 from wibam_core.exchange.wibam import hand_labels
-from wibam_core.exchange.wibam.layout import CATEGORIES, PERIOD_NS
+from wibam_core.exchange.wibam.layout import PERIOD_NS
 from wibam_core.geometry.camera import Camera
 from wibam_core.road_users import CLASSES
+from wibam_core.traits import NUSCENES_CLASSES
 
 
 def write(content: Content, root: Path) -> Iterator[Path]:
@@ -72,7 +73,7 @@ def _document(content: Content, cameras: Sequence[str], numbers: Mapping[int, in
     assert content.rig is not None
     images: list[dict[str, Any]] = []
     annotations: list[dict[str, Any]] = []
-    category = {name: i for i, name in enumerate(CATEGORIES, 1)}
+    category = {name: i for i, name in enumerate(NUSCENES_CLASSES, 1)}
     for instant in content.instants or ():
         owners = {(camera, i): vehicle.obj_id for vehicle in instant.vehicles for camera, i in vehicle.views.items()}
         for camera_id, seen in instant.detections.items():

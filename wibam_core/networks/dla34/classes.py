@@ -10,20 +10,6 @@ from numpy.typing import NDArray
 
 from wibam_core.road_users import CLASSES
 
-#: The heat map's channels in the order of the published weights.
-NUSCENES_CLASSES = (
-    "car",
-    "truck",
-    "bus",
-    "trailer",
-    "construction_vehicle",
-    "pedestrian",
-    "motorcycle",
-    "bicycle",
-    "traffic_cone",
-    "barrier",
-)
-
 
 @dataclass(frozen=True, eq=False)
 class RoadUserChannels:

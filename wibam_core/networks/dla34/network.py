@@ -20,7 +20,7 @@ from wibam_core.models.frames import INPUT_WIDTH_PX, Frame
 from wibam_core.models.weights import load_state
 from wibam_core.networks.dla34.architecture import DLA34, HEADS
 from wibam_core.networks.dla34.centertrack import LONG_SIDE_PX, InputWarp, decode_vehicles, normalised
-from wibam_core.networks.dla34.classes import NUSCENES_CLASSES, RoadUserChannels
+from wibam_core.networks.dla34.classes import RoadUserChannels
 from wibam_core.networks.dla34.losses import box2d_parts, heat_part, lifted_parts, multiview_part, values_at
 from wibam_core.networks.dla34.targets import encode
 from wibam_core.placing import Decode
@@ -29,6 +29,7 @@ from wibam_core.scene import Vehicles3D
 from wibam_core.training.dataset import SiteView
 from wibam_core.training.multiview import DEFAULT_MULTIVIEW_WEIGHT, OtherViews
 from wibam_core.training.views import FloatArray, LabelledView
+from wibam_core.traits import NUSCENES_CLASSES
 
 FAMILY_NAME = "centertrack-dla34"
 #: How its boxes can be placed: it states no uncertainties to fuse by, and knows no footprints.

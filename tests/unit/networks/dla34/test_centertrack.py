@@ -21,9 +21,10 @@ from wibam_core.networks.dla34.centertrack import (
     InputWarp,
     decode_vehicles,
 )
-from wibam_core.networks.dla34.classes import NUSCENES_CLASSES, RoadUserChannels
+from wibam_core.networks.dla34.classes import RoadUserChannels
 from wibam_core.networks.dla34.network import CenterTrack
 from wibam_core.road_users import RoadUserClass
+from wibam_core.traits import NUSCENES_CLASSES
 
 
 def off_centre(camera: Camera, du_px: float, dv_px: float) -> Camera:

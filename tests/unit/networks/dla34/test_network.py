@@ -17,7 +17,7 @@ from wibam_core.models.frames import Frame
 from wibam_core.models.network import predict
 from wibam_core.networks.dla34.architecture import DLA34, HEADS
 from wibam_core.networks.dla34.centertrack import InputWarp, boxes3d, decode_vehicles, read_heads
-from wibam_core.networks.dla34.classes import NUSCENES_CLASSES, RoadUserChannels
+from wibam_core.networks.dla34.classes import RoadUserChannels
 from wibam_core.networks.dla34.losses import heat_part, lifted_parts
 from wibam_core.networks.dla34.network import CenterTrack, input_view, stacked
 from wibam_core.networks.dla34.targets import encode
@@ -28,6 +28,7 @@ from wibam_core.training.dataset import SiteView, site_views
 from wibam_core.training.finetune import FinetuneResult, SiteDataset, finetune
 from wibam_core.training.multiview import OtherCameras
 from wibam_core.training.views import LabelledView
+from wibam_core.traits import NUSCENES_CLASSES
 
 
 @pytest.fixture(scope="module")
