@@ -81,8 +81,8 @@ def _summary(dataset: SiteDataset, result: FinetuneResult) -> Summary:
     return {
         "train_frames": len(dataset.train),
         "validation_frames": len(dataset.validation),
-        "labels_3d": int(sum((view.labels.confidence > 0).sum() for view in dataset.train)),
-        "boxes_2d": int(sum(len(view.labels.classes) for view in dataset.train)),
+        "pseudo_labels_3d": int(sum((view.pseudo_labels.confidence > 0).sum() for view in dataset.train)),
+        "boxes_2d": int(sum(len(view.pseudo_labels.classes) for view in dataset.train)),
         "kept": result.kept,
         "kept_step": result.kept_step,
         "first_loss": round(first.train["total"], 4),

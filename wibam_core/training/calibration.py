@@ -54,12 +54,12 @@ def factors_from_fits(predictions: Iterable[Vehicles3D], views: Sequence[SiteVie
     """The factors by which predictions err more than they say, against the fits of the same views, one by one."""
     errors, sd = [np.empty((0, 7))], [np.empty((0, 7))]
     for found, view in zip(predictions, views, strict=True):
-        labels = view.labels
-        fitted = np.isfinite(labels.boxes3d).all(axis=1) & (labels.confidence > 0)
-        fits = labels.boxes3d[fitted]
+        taught = view.pseudo_labels
+        fitted = np.isfinite(taught.boxes3d).all(axis=1) & (taught.confidence > 0)
+        fits = taught.boxes3d[fitted]
         match = match_on_ground(fits, np.ones(len(fits), bool), found.boxes, _MATCH_DISTANCE_M)
         made = box_errors(found.boxes[match.detections], fits[match.labels])
-        made[~labels.front_known[fitted][match.labels], 6] = np.nan
+        made[~taught.front_known[fitted][match.labels], 6] = np.nan
         errors.append(made)
         sd.append(found.sd[match.detections])
     factors = SdFactors.of(np.concatenate(errors), np.concatenate(sd))

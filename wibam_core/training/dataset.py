@@ -35,24 +35,24 @@ class SiteView:
 
     Attributes:
         camera_id, time_ns: which frame.
-        labels: for the network's input size; without the image. 3D boxes are where the vehicles are when the frame
-            is exposed, which is a little before or after the instant.
-        other_vehicle: (P,) vehicles of ``labels`` that other cameras see too, once per such camera.
+        pseudo_labels: for the network's input size; without the image. 3D boxes are where the vehicles are when the
+            frame is exposed, which is a little before or after the instant.
+        other_vehicle: (P,) vehicles of ``pseudo_labels`` that other cameras see too, once per such camera.
         other_camera: (P,) number of that camera in the rig.
         other_boxes: (P, 4) the vehicle's 2D box there, px of that camera's input.
     """
 
     camera_id: str
     time_ns: int
-    labels: LabelledView
+    pseudo_labels: LabelledView
     other_vehicle: NDArray[np.int64]
     other_camera: NDArray[np.int64]
     other_boxes: FloatArray
 
-    def alone(self, labels: LabelledView) -> SiteView:
-        """The view with these labels instead, and without other views: where augmentation renumbered the vehicles."""
+    def alone(self, pseudo_labels: LabelledView) -> SiteView:
+        """The view with these instead, and without other views: where augmentation renumbered the vehicles."""
         nothing = np.zeros(0, np.int64)
-        return SiteView(self.camera_id, self.time_ns, labels, nothing, nothing, np.zeros((0, 4)))
+        return SiteView(self.camera_id, self.time_ns, pseudo_labels, nothing, nothing, np.zeros((0, 4)))
 
 
 def site_views(
@@ -91,26 +91,28 @@ def site_views(
         for camera_id in rig:
             if camera_id in boxes and frames.has(camera_id, instant.time_ns):
                 seen = instant.detections[camera_id]
-                labels = LabelledView(
+                pseudo_labels = LabelledView(
                     image=_NO_IMAGE,
                     camera=prepared[camera_id],
                     boxes2d=boxes[camera_id],
                     classes=seen.classes,
-                    **_labels3d(seen, instant.vehicles, fits, instant.time_ns),
+                    **_pseudo_labels3d(seen, instant.vehicles, fits, instant.time_ns),
                     ignored=ignored[camera_id],
                     not_looked_for=not_looked_for,
                 )
                 if complete:
                     found = {vehicle.track_id for vehicle in instant.vehicles if camera_id in vehicle.views}
-                    labels = _completed(labels, fits, instant.time_ns, seen.frame_time_ns, found, left_out_tracks)
+                    pseudo_labels = _completed(
+                        pseudo_labels, fits, instant.time_ns, seen.frame_time_ns, found, left_out_tracks
+                    )
                 others = _others(camera_id, instant.vehicles, boxes, tuple(rig))
-                views.append(SiteView(camera_id, instant.time_ns, labels, *others))
+                views.append(SiteView(camera_id, instant.time_ns, pseudo_labels, *others))
     return views
 
 
 def input_width_of(views: Iterable[SiteView]) -> int:
     """How wide the images of views of one site are seen; as usual where there is none."""
-    return next((view.labels.camera.width_px for view in views), INPUT_WIDTH_PX)
+    return next((view.pseudo_labels.camera.width_px for view in views), INPUT_WIDTH_PX)
 
 
 def _set_aside(instant: AnnotatedInstant, tracks: frozenset[int]) -> tuple[AnnotatedInstant, dict[str, FloatArray]]:
@@ -124,7 +126,7 @@ def _set_aside(instant: AnnotatedInstant, tracks: frozenset[int]) -> tuple[Annot
     return without(instant, out), boxes
 
 
-def _labels3d(
+def _pseudo_labels3d(
     seen: Detections2D, vehicles: Sequence[MultiViewVehicle], fits: _Fits, time_ns: int
 ) -> dict[str, NDArray]:
     boxes3d = np.full((len(seen), 7), np.nan)
@@ -142,37 +144,37 @@ def _labels3d(
 
 
 def _completed(
-    labels: LabelledView,
+    pseudo_labels: LabelledView,
     fits: _Fits,
     time_ns: int,
     exposed_ns: int,
     found: Set[int],
     left_out_tracks: frozenset[int],
 ) -> LabelledView:
-    """The labels of a view, and what was overlooked in it: more vehicles, and more that is not judged.
+    """The pseudo-labels of a view, and what was overlooked in it: more vehicles, and more that is not judged.
 
     ``found`` are the tracks that have a box in the view, but for those that are left out.
     """
     tracks = fits.tracks_at(time_ns)
     if not tracks:
-        return labels
+        return pseudo_labels
     boxes3d = np.array([fits.box_at(track, time_ns, exposed_ns) for track in tracks])
     its = [fits.of(track, time_ns) for track in tracks]
     classes = np.array([fit.vehicle_class for fit in its], np.int64)
     confidence = np.array([fit.confidence for fit in its])
-    known = np.concatenate([labels.boxes2d, labels.ignored])
-    missed = overlooked(labels.camera, boxes3d, classes, np.array([track in found for track in tracks]), known)
+    known = np.concatenate([pseudo_labels.boxes2d, pseudo_labels.ignored])
+    missed = overlooked(pseudo_labels.camera, boxes3d, classes, np.array([track in found for track in tracks]), known)
     taught = np.array([tracks[row] not in left_out_tracks and confidence[row] > 0 for row in missed.rows], bool)
     rows = missed.rows[taught]
     front_known = np.array([not its[row].yaw_sd_rad > FRONT_SD_RAD for row in rows], bool)
     return replace(
-        labels,
-        boxes2d=np.concatenate([labels.boxes2d, missed.boxes2d[taught]]),
-        classes=np.concatenate([labels.classes, classes[rows]]),
-        boxes3d=np.concatenate([labels.boxes3d, boxes3d[rows]]),
-        confidence=np.concatenate([labels.confidence, confidence[rows]]),
-        front_known=np.concatenate([labels.front_known, front_known]),
-        ignored=np.concatenate([labels.ignored, missed.boxes2d[~taught], missed.unsure]),
+        pseudo_labels,
+        boxes2d=np.concatenate([pseudo_labels.boxes2d, missed.boxes2d[taught]]),
+        classes=np.concatenate([pseudo_labels.classes, classes[rows]]),
+        boxes3d=np.concatenate([pseudo_labels.boxes3d, boxes3d[rows]]),
+        confidence=np.concatenate([pseudo_labels.confidence, confidence[rows]]),
+        front_known=np.concatenate([pseudo_labels.front_known, front_known]),
+        ignored=np.concatenate([pseudo_labels.ignored, missed.boxes2d[~taught], missed.unsure]),
     )
 
 
@@ -257,7 +259,7 @@ class ImageCache:
     def __init__(self, path: Path, views: Sequence[SiteView], frames: FrameStore) -> None:
         self._views = views
         self._frames = frames
-        height = max((view.labels.camera.height_px for view in views), default=INPUT_MULTIPLE)
+        height = max((view.pseudo_labels.camera.height_px for view in views), default=INPUT_MULTIPLE)
         height += -height % INPUT_MULTIPLE
         self._width_px = input_width_of(views)
         self._shape = (height, self._width_px, 3)
@@ -282,4 +284,4 @@ class ImageCache:
                 image[: len(prepared)] = prepared
                 file.write(image.data)
                 self._ready[number] = True
-        return replace(view.labels, image=image)
+        return replace(view.pseudo_labels, image=image)

@@ -167,7 +167,7 @@ def _check(dataset: SiteDataset, config: FinetuneConfig) -> None:
     if config.method == "paper":
         taught = any(len(view.other_vehicle) for view in dataset.train)
     else:
-        taught = any((view.labels.confidence > 0).any() for view in dataset.train)
+        taught = any((view.pseudo_labels.confidence > 0).any() for view in dataset.train)
     if not taught:
         raise NoMultiViewVehicles("no vehicle in the training part of the split could be placed in 3D from two cameras")
 

@@ -108,7 +108,7 @@ class OtherCameras:
             vehicle.append(vehicles + first)
             camera.append(cameras + (len(self._widths) if is_mirrored else 0))
             boxes.append(_mirror(given, self._widths[cameras]) if is_mirrored else given)
-            first += len(view.labels.classes)
+            first += len(view.pseudo_labels.classes)
         return OtherViews(
             torch.from_numpy(np.concatenate(vehicle)),
             torch.from_numpy(np.concatenate(camera)),
@@ -124,7 +124,7 @@ class OtherCameras:
         return (
             np.concatenate([view.other_vehicle, vehicle]),
             np.concatenate([view.other_camera, np.full(len(vehicle), self._number_of[view.camera_id])]),
-            np.concatenate([view.other_boxes, view.labels.boxes2d[vehicle]]),
+            np.concatenate([view.other_boxes, view.pseudo_labels.boxes2d[vehicle]]),
         )
 
 

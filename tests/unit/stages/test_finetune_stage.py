@@ -81,6 +81,6 @@ def test_writes_weights_and_curves(tmp_path: Path) -> None:
     assert all({"heat", "yaw", "total"} <= epoch.validation.keys() for epoch in curves.epochs)
     assert summary["train_frames"] == 6
     assert summary["validation_frames"] == 3
-    assert summary["labels_3d"] == summary["boxes_2d"] == 6  # one of the two vehicles belongs to another part
+    assert summary["pseudo_labels_3d"] == summary["boxes_2d"] == 6  # one of the two vehicles belongs to another part
     # a killed attempt left its checkpoint: the next one has nothing left to train
     assert run(folders, config)["last_loss"] == pytest.approx(summary["last_loss"], abs=1e-9)

@@ -30,7 +30,7 @@ def site(tmp_path: Path) -> SiteDataset:
 
 def predicted(view: SiteView, rng: np.random.Generator, factor: float) -> Vehicles3D:
     """The fits with Laplace errors that are ``factor`` times as large as they are said to be."""
-    fits = view.labels.boxes3d
+    fits = view.pseudo_labels.boxes3d
     stated = np.tile([0.2, 0.2, 0.05, 0.2, 0.1, 0.1, 0.1], (len(fits), 1))
     return Vehicles3D.of(view.time_ns, fits + rng.laplace(0, factor * stated / np.sqrt(2)), sd=stated)
 
@@ -50,7 +50,7 @@ def test_a_fit_that_does_not_know_the_front_says_nothing_of_the_heading(site: Si
     found = []
     for view in site.validation:
         vehicles = predicted(view, rng, 1.0)
-        vehicles.boxes[~view.labels.front_known, 6] += np.pi
+        vehicles.boxes[~view.pseudo_labels.front_known, 6] += np.pi
         found.append(vehicles)
     assert factors_from_fits(found, site.validation).yaw == pytest.approx(1, rel=0.3)
 

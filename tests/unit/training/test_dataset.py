@@ -22,20 +22,20 @@ def test_3d_labels_project_into_the_2d_boxes_of_the_moment_of_exposure(site: Tin
     views = site_views(site.instants, site.frames, site.lifts, site.rig)
     assert len(views) == 12
     for view in views:
-        uv, _ = view.labels.camera.project(corners(view.labels.boxes3d))
+        uv, _ = view.pseudo_labels.camera.project(corners(view.pseudo_labels.boxes3d))
         tight = np.concatenate([uv.min(axis=1), uv.max(axis=1)], axis=1)
-        np.testing.assert_allclose(view.labels.boxes2d, tight, atol=1e-6)
+        np.testing.assert_allclose(view.pseudo_labels.boxes2d, tight, atol=1e-6)
         when = view.time_ns + LATENESS_NS[view.camera_id]
-        np.testing.assert_allclose(view.labels.boxes3d, boxes_at(when), atol=1e-9)
+        np.testing.assert_allclose(view.pseudo_labels.boxes3d, boxes_at(when), atol=1e-9)
 
 
 def test_labels_are_as_wide_as_the_network_sees_the_images(site: TinySite, tmp_path: Path) -> None:
     usual, wide = (site_views(site.instants, site.frames, site.lifts, site.rig, input_width_px=w) for w in (640, 960))
     assert input_width_of(wide) == 960 and input_width_of([]) == INPUT_WIDTH_PX
     for small, large in zip(usual, wide, strict=True):
-        np.testing.assert_allclose(large.labels.boxes2d + 0.5, (small.labels.boxes2d + 0.5) * 1.5)
+        np.testing.assert_allclose(large.pseudo_labels.boxes2d + 0.5, (small.pseudo_labels.boxes2d + 0.5) * 1.5)
         np.testing.assert_allclose(large.other_boxes + 0.5, (small.other_boxes + 0.5) * 1.5)
-        np.testing.assert_array_equal(large.labels.boxes3d, small.labels.boxes3d)
+        np.testing.assert_array_equal(large.pseudo_labels.boxes3d, small.pseudo_labels.boxes3d)
     image = ImageCache(tmp_path / "images.npy", wide, site.frames).view(3).image
     assert image.shape == (256, 960, 3)
     prepared = prepare_image(site.frames.image(wide[3].camera_id, wide[3].time_ns), 960)
@@ -43,7 +43,7 @@ def test_labels_are_as_wide_as_the_network_sees_the_images(site: TinySite, tmp_p
 
 
 def test_confidence_and_unknown_fronts_come_from_the_fits(site: TinySite) -> None:
-    labels = site_views(site.instants, site.frames, site.lifts, site.rig)[0].labels
+    labels = site_views(site.instants, site.frames, site.lifts, site.rig)[0].pseudo_labels
     np.testing.assert_array_equal(labels.confidence, [1.0, 0.5])
     np.testing.assert_array_equal(labels.front_known, [True, False])
 
@@ -64,10 +64,10 @@ def test_vehicles_of_another_subset_are_ignored_and_those_not_fitted_keep_their_
     without = [vehicles.where(np.array([True, False])) for vehicles in site.lifts]
     whole = site_views(site.instants, site.frames, site.lifts, site.rig)[0]
     view = site_views(site.instants, site.frames, without, site.rig, frozenset({7}))[0]
-    np.testing.assert_allclose(view.labels.ignored, whole.labels.boxes2d[:1])
-    np.testing.assert_allclose(view.labels.boxes2d, whole.labels.boxes2d[1:])
-    assert view.labels.classes.tolist() == [1]
-    assert np.isnan(view.labels.boxes3d).all()
+    np.testing.assert_allclose(view.pseudo_labels.ignored, whole.pseudo_labels.boxes2d[:1])
+    np.testing.assert_allclose(view.pseudo_labels.boxes2d, whole.pseudo_labels.boxes2d[1:])
+    assert view.pseudo_labels.classes.tolist() == [1]
+    assert np.isnan(view.pseudo_labels.boxes3d).all()
     assert view.other_vehicle.tolist() == [0, 0]
     np.testing.assert_allclose(view.other_boxes, whole.other_boxes[whole.other_vehicle == 1])
 
@@ -77,12 +77,12 @@ def test_what_one_camera_overlooked_is_labelled_by_the_fits(site: TinySite) -> N
     whole = site_views(site.instants, site.frames, site.lifts, site.rig)
     for before, view in zip(whole, site_views(instants, site.frames, site.lifts, site.rig), strict=True):
         order = [1, 0] if view.camera_id == "east" else [0, 1]  # it comes after what was found
-        np.testing.assert_allclose(view.labels.boxes3d, before.labels.boxes3d[order], atol=1e-9)
-        np.testing.assert_array_equal(view.labels.classes, before.labels.classes[order])
-        np.testing.assert_array_equal(view.labels.confidence, before.labels.confidence[order])
-        np.testing.assert_array_equal(view.labels.front_known, before.labels.front_known[order])
-        assert image_iou(view.labels.boxes2d, before.labels.boxes2d[order]).diagonal().min() > 0.7
-        assert len(view.labels.ignored) == 0
+        np.testing.assert_allclose(view.pseudo_labels.boxes3d, before.pseudo_labels.boxes3d[order], atol=1e-9)
+        np.testing.assert_array_equal(view.pseudo_labels.classes, before.pseudo_labels.classes[order])
+        np.testing.assert_array_equal(view.pseudo_labels.confidence, before.pseudo_labels.confidence[order])
+        np.testing.assert_array_equal(view.pseudo_labels.front_known, before.pseudo_labels.front_known[order])
+        assert image_iou(view.pseudo_labels.boxes2d, before.pseudo_labels.boxes2d[order]).diagonal().min() > 0.7
+        assert len(view.pseudo_labels.ignored) == 0
         if view.camera_id == "east":
             assert set(view.other_vehicle.tolist()) == {0}  # the published loss knows vehicles by detections alone
 
@@ -91,16 +91,16 @@ def test_what_was_overlooked_of_another_subset_is_not_judged(site: TinySite) -> 
     instants = [without_detection(instant, "east", 0) for instant in site.instants]
     found = site_views(instants, site.frames, site.lifts, site.rig)[1]
     view = site_views(instants, site.frames, site.lifts, site.rig, frozenset({7}))[1]
-    assert view.labels.classes.tolist() == [1]
-    np.testing.assert_allclose(view.labels.ignored, found.labels.boxes2d[1:])
+    assert view.pseudo_labels.classes.tolist() == [1]
+    np.testing.assert_allclose(view.pseudo_labels.ignored, found.pseudo_labels.boxes2d[1:])
     alone = site_views(instants, site.frames, site.lifts, site.rig, frozenset({7}), complete=False)[1]
-    assert len(alone.labels.classes) == 1 and len(alone.labels.ignored) == 0
+    assert len(alone.pseudo_labels.classes) == 1 and len(alone.pseudo_labels.ignored) == 0
 
 
 def test_one_instant_alone_has_no_velocity(site: TinySite) -> None:
     views = site_views(site.instants[:1], site.frames, site.lifts[:1], site.rig)
     for view in views:
-        np.testing.assert_allclose(view.labels.boxes3d, boxes_at(0))
+        np.testing.assert_allclose(view.pseudo_labels.boxes3d, boxes_at(0))
 
 
 def test_images_are_prepared_once_and_padded(site: TinySite, tmp_path: Path) -> None:

@@ -31,9 +31,9 @@ def test_where_all_is_known_nothing_is_left_out(tmp_path: Path) -> None:
         for instants, fits in ((site.instants, site.lifts), (taught.instants, taught.fits))
     )
     for one, two in zip(before, after, strict=True):
-        for name, value in vars(one.labels).items():
+        for name, value in vars(one.pseudo_labels).items():
             if name != "camera":
-                np.testing.assert_array_equal(value, getattr(two.labels, name), err_msg=name)
+                np.testing.assert_array_equal(value, getattr(two.pseudo_labels, name), err_msg=name)
         np.testing.assert_array_equal(one.other_boxes, two.other_boxes)
 
 
@@ -44,9 +44,9 @@ def test_boxes_fits_and_views_of_other_classes_go(tmp_path: Path) -> None:
     assert taught.left_out == {"car": len(site.rig) * len(site.instants)}
     views = site_views(taught.instants, site.frames, taught.fits, site.rig)
     for view in views:
-        assert view.labels.classes.tolist() == [VAN]
+        assert view.pseudo_labels.classes.tolist() == [VAN]
         assert view.other_vehicle.tolist() == [0] * (len(site.rig) - 1)
-        assert len(view.labels.ignored) == 0
+        assert len(view.pseudo_labels.ignored) == 0
     for instant in taught.instants:
         assert [vehicle.track_id for vehicle in instant.vehicles] == [8]
     assert all(fit.classes.tolist() == [VAN] for fit in taught.fits)

@@ -144,7 +144,7 @@ class CenterTrack:
 
 def input_view(view: SiteView, frames: FrameStore, long_side_px: int) -> LabelledView:
     """A site's view with its image, warped to the network's input; pixels and camera are those of the input."""
-    labels = view.labels
+    labels = view.pseudo_labels
     size = frames.size(view.camera_id)
     warp = InputWarp.of(*size, long_side_px)
     scale = scale_of(labels.camera.size_px, size)

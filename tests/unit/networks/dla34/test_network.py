@@ -258,7 +258,7 @@ def test_the_input_is_that_of_inference_and_labels_follow_it(site: TinySite) -> 
     view = input_view(source, site.frames, 800)
     warp = InputWarp.of(640, 160)
     np.testing.assert_array_equal(view.image, warp.image(site.frames.image("east", source.time_ns)))
-    uv, _ = view.camera.project(corners(source.labels.boxes3d))
+    uv, _ = view.camera.project(corners(source.pseudo_labels.boxes3d))
     tight = np.concatenate([uv.min(axis=1), uv.max(axis=1)], axis=1)
     np.testing.assert_allclose(view.boxes2d, tight, atol=0.5)
 

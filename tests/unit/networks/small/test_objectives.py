@@ -90,7 +90,7 @@ def test_own_view_adds_the_own_views_pairs_and_no_others(site: TinySite, views: 
     own = {
         (2 * place + row, list(site.rig).index(view.camera_id), tuple(box))
         for place, view in enumerate(chosen)
-        for row, box in enumerate(view.labels.boxes2d.tolist())
+        for row, box in enumerate(view.pseudo_labels.boxes2d.tolist())
     }
     assert withal - without == own
 
@@ -104,7 +104,7 @@ def test_vehicles_that_no_other_view_sees_do_not_count_with_their_own(site: Tiny
         other_camera=first.other_camera[seen],
         other_boxes=first.other_boxes[seen],
     )
-    pairs = OtherCameras(site.rig, own_view=True).of([partly, first.alone(first.labels)], [False, False])
+    pairs = OtherCameras(site.rig, own_view=True).of([partly, first.alone(first.pseudo_labels)], [False, False])
     assert set(pairs.vehicle.tolist()) == {1}
 
 
@@ -128,7 +128,7 @@ def test_equals_a_loop_over_the_vehicles_of_a_batch(
         seen = zip(view.other_vehicle.tolist(), view.other_camera.tolist(), view.other_boxes, strict=True)
         listed = [(row, list(site.rig.values())[camera], box) for row, camera, box in seen]
         if own_view:
-            listed += [(row, site.rig[view.camera_id], box) for row, box in enumerate(view.labels.boxes2d)]
+            listed += [(row, site.rig[view.camera_id], box) for row, box in enumerate(view.pseudo_labels.boxes2d)]
         for row, camera, box in listed:
             prepared = prepare_camera(camera)
             if mirrored[place]:
