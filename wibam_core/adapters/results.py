@@ -7,7 +7,7 @@ import io
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any, TypeVar, get_origin
 
 from wibam_core.artifacts.access import ArtifactReader
 from wibam_core.artifacts.artifact import Artifact
@@ -118,7 +118,7 @@ def conflicts_csv(document: Conflicts) -> Iterator[str]:
     """Conflicts as CSV: pairs become two columns each, intervals ``_low`` and ``_high``, measures one by name."""
     rows = [_flat(conflict) for conflict in document.conflicts]
     buffer = io.StringIO()
-    writer = csv.DictWriter(buffer, list(rows[0]) if rows else list(ConflictRow.model_fields))
+    writer = csv.DictWriter(buffer, list(rows[0]) if rows else _columns())
     writer.writeheader()
     for row in rows:
         writer.writerow(row)
@@ -132,10 +132,21 @@ def _flat(conflict: ConflictRow) -> Mapping[str, Any]:
     row: dict[str, Any] = {}
     for name, value in conflict.model_dump().items():
         if isinstance(value, tuple):
-            ends = ("low", "high") if "interval" in name else ("1", "2")
-            row |= {f"{name}_{end}": item for end, item in zip(ends, value, strict=True)}
+            row |= dict(zip(_pair(name), value, strict=True))
         elif isinstance(value, dict):
             row |= value
         else:
             row[name] = value
     return row
+
+
+def _columns() -> list[str]:
+    """Those of every conflict; which measures there are is known where there is one."""
+    fields = {name: get_origin(field.annotation) for name, field in ConflictRow.model_fields.items()}
+    columns = (_pair(name) if kind is tuple else (name,) for name, kind in fields.items() if kind is not dict)
+    return [column for of_field in columns for column in of_field]
+
+
+def _pair(name: str) -> tuple[str, str]:
+    first, second = ("low", "high") if "interval" in name else ("1", "2")
+    return f"{name}_{first}", f"{name}_{second}"
