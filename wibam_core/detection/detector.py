@@ -13,6 +13,7 @@ from wibam_core.detection.boxes import Found, Image
 from wibam_core.detection.centre import CentreDetector, is_centre_model
 from wibam_core.detection.yolox import YOLOX_FILES, YoloxDetector, is_yolox_model
 from wibam_core.errors import InvalidWeights
+from wibam_core.models.onnx_session import open_session
 from wibam_core.road_users import RoadUserClass
 
 #: The detector that comes with the project; learned from simulated images.
@@ -66,18 +67,7 @@ def load_detector(path: Path, *, min_score: float, nms_iou: float, threads: int 
     Raises:
         InvalidWeights: the file is missing, no ONNX file, or a network of another kind.
     """
-    if not path.is_file():
-        raise InvalidWeights(f"the detector {path.name} does not exist", hint=_EXPECTED)
-    options = onnxruntime.SessionOptions()
-    options.intra_op_num_threads = threads
-    options.inter_op_num_threads = 1
-    options.log_severity_level = 4
-    try:
-        session = onnxruntime.InferenceSession(str(path), options, providers=["CPUExecutionProvider"])
-    except Exception as error:  # each kind of defect has its own class in onnxruntime, all directly below Exception
-        raise InvalidWeights(
-            f"{path.name} is no ONNX network that can be run: {_first_line(error)}", hint=_EXPECTED
-        ) from error
+    session = open_session(path, path.name, threads=threads, hint=_EXPECTED)
     for family in FAMILIES:
         if family.is_model(session):
             return family.detector(session, min_score=min_score, nms_iou=nms_iou)
@@ -86,8 +76,3 @@ def load_detector(path: Path, *, min_score: float, nms_iou: float, threads: int 
     raise InvalidWeights(
         f"{path.name} takes {inputs} and gives {outputs}: that is no detector that we know", hint=_EXPECTED
     )
-
-
-def _first_line(error: Exception) -> str:
-    lines = str(error).strip().splitlines()
-    return lines[0] if lines else type(error).__name__

@@ -5,13 +5,13 @@ from __future__ import annotations
 from pathlib import Path
 
 import numpy as np
-import onnxruntime
 
 from wibam_core.detection.background import StillBackground
 from wibam_core.detection.boxes import FloatArray, Found, Image, IntArray
 from wibam_core.detection.crops import blob
 from wibam_core.detection.metadata import network_classes
 from wibam_core.geometry.boxes2d import clipped_to_image, non_maximum_suppression, sides_px
+from wibam_core.models.onnx_session import open_session
 from wibam_core.scene import Boxes2D
 
 #: The refiner that comes with the project; learned from simulated images.
@@ -34,9 +34,7 @@ class EdgeRefiner:
     """
 
     def __init__(self, path: Path = BUNDLED_EDGE_REFINER) -> None:
-        options = onnxruntime.SessionOptions()
-        options.intra_op_num_threads = options.inter_op_num_threads = 1
-        self._session = onnxruntime.InferenceSession(str(path), options, providers=["CPUExecutionProvider"])
+        self._session = open_session(path, path.name, threads=1, hint="Use the edge refiner as it was exported.")
         self.classes = network_classes(self._session, "the edge refiner")
         self._numbers = np.array([c.number for c in self.classes], dtype=np.int64)
 
