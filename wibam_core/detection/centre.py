@@ -6,12 +6,23 @@ import numpy as np
 import onnxruntime
 
 from wibam_core.detection.boxes import Found, Image, select
+from wibam_core.detection.family import DetectorCard, DetectorFamily
 from wibam_core.detection.metadata import network_classes
 from wibam_core.errors import InvalidWeights
 from wibam_core.geometry.pixels import resized_height_px, resized_image, resized_px, scale_of
 
 #: What the file's metadata calls this kind of network.
 FAMILY = "wibam-centre"
+CARD = DetectorCard(
+    name=FAMILY,
+    input_name="image",
+    input_type="tensor(float)",
+    channels="BGR",
+    highest=1.0,
+    outputs=("heat", "ltrb"),
+    decode="peaks of a heat map, and from each the distances to the four sides of its box",
+    class_names="metadata",
+)
 INPUT_WIDTH_PX = 640
 STRIDE = 4
 _HEIGHT_MULTIPLE = 32
@@ -25,9 +36,9 @@ def is_centre_model(session: onnxruntime.InferenceSession) -> bool:
 class CentreDetector:
     """Runs the bundled network.
 
-    Its input ``image`` is (1, 3, H, 640) float32, BGR in 0..1, H padded at the bottom to a multiple of 32. Its outputs
-    are ``heat`` (1, C, H/4, 160), zero but at peaks, and ``ltrb`` (1, 4, H/4, 160) in cells of 4 px. The centre of cell
-    (x, y) is ((x + 0.5)·4 − 0.5, (y + 0.5)·4 − 0.5) px of the input.
+    Images are 640 px wide, padded at the bottom to a multiple of 32. The outputs are ``heat`` (1, C, H/4, 160), zero
+    but at peaks, and ``ltrb`` (1, 4, H/4, 160) in cells of 4 px. The centre of cell (x, y) is
+    ((x + 0.5)·4 − 0.5, (y + 0.5)·4 − 0.5) px of the input.
 
     Args:
         session: for which `is_centre_model` holds.
@@ -39,11 +50,9 @@ class CentreDetector:
     """
 
     def __init__(self, session: onnxruntime.InferenceSession, *, min_score: float, nms_iou: float) -> None:
-        names = {"image"} - {node.name for node in session.get_inputs()}
-        names |= {"heat", "ltrb"} - {node.name for node in session.get_outputs()}
-        if names:
+        if missing := CARD.missing(session):
             raise InvalidWeights(
-                f"the {FAMILY} detector has no {', '.join(sorted(names))}", hint="Use the detector as it was exported."
+                f"the {FAMILY} detector has no {', '.join(missing)}", hint="Use the detector as it was exported."
             )
         self._session = session
         self.classes = network_classes(session, f"the {FAMILY} detector")
@@ -58,11 +67,8 @@ class CentreDetector:
         """
         height, width = image_bgr.shape[:2]
         content = resized_height_px(width, height, INPUT_WIDTH_PX)
-        padded = content + -content % _HEIGHT_MULTIPLE
         image = resized_image(image_bgr, INPUT_WIDTH_PX, content)
-        blob = np.zeros((1, 3, padded, INPUT_WIDTH_PX), dtype=np.float32)
-        np.divide(image.transpose(2, 0, 1), 255.0, out=blob[0, :, :content], casting="unsafe")
-        heat, ltrb = self._session.run(["heat", "ltrb"], {"image": blob})
+        heat, ltrb = CARD.run(self._session, np.pad(image, ((0, -content % _HEIGHT_MULTIPLE), (0, 0), (0, 0))))
         if len(heat[0]) != len(self.classes):
             raise InvalidWeights(
                 f"the {FAMILY} detector names {len(self.classes)} classes and has heat for {len(heat[0])}",
@@ -75,3 +81,6 @@ class CentreDetector:
         boxes = np.concatenate([centres - sides[:, :2], centres + sides[:, 2:]], axis=1)
         native = resized_px(boxes, scale_of((INPUT_WIDTH_PX, content), (width, height), 4))
         return select(native, scores, self._numbers[numbers], (width, height), self._nms_iou)
+
+
+CENTRE = DetectorFamily(CARD, is_centre_model, CentreDetector)

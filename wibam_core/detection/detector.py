@@ -2,57 +2,25 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import dataclass
 from pathlib import Path
-from typing import Protocol
 
-import onnxruntime
-
-from wibam_core.detection.boxes import Found, Image
-from wibam_core.detection.centre import CentreDetector, is_centre_model
-from wibam_core.detection.yolox import YOLOX_FILES, YoloxDetector, is_yolox_model
+from wibam_core.detection.centre import CENTRE
+from wibam_core.detection.family import Detector, DetectorFamily
+from wibam_core.detection.yolox import YOLOX
 from wibam_core.errors import InvalidWeights
 from wibam_core.models.onnx_session import open_session
-from wibam_core.road_users import RoadUserClass
 
 #: The detector that comes with the project; learned from simulated images.
 BUNDLED = Path(__file__).resolve().parent.parent / "models" / "bundled" / "detector2d.onnx"
 
 
-class Detector(Protocol):
-    """Finds road users in an image."""
-
-    @property
-    def classes(self) -> tuple[RoadUserClass, ...]:
-        """What it looks for; other road users are not found, or taken for one of these."""
-        ...
-
-    def detect(self, image_bgr: Image) -> Found:
-        """Road users in an image (H, W, 3) uint8, BGR, in its own pixels."""
-
-
-@dataclass(frozen=True)
-class DetectorFamily:
-    """ONNX networks that are run alike.
-
-    Attributes:
-        is_model: whether a file holds one, by its metadata and the shapes of its inputs and outputs.
-        detector: what runs it: of the session, ``min_score`` and ``nms_iou``.
-        files: for a person whose file is of no family: what files of this one are; None where nobody brings one along.
-    """
-
-    is_model: Callable[[onnxruntime.InferenceSession], bool]
-    detector: Callable[..., Detector]
-    files: str | None = None
-
-
+#: A file is of the first that it fits.
 FAMILIES: tuple[DetectorFamily, ...] = (
-    DetectorFamily(is_centre_model, CentreDetector),
-    DetectorFamily(is_yolox_model, YoloxDetector, YOLOX_FILES),
+    CENTRE,
+    YOLOX,
 )
 
-_EXPECTED = f"Give an ONNX file of {', or of '.join(family.files for family in FAMILIES if family.files)}."
+_EXPECTED = f"Give an ONNX file of {', or of '.join(family.card.files for family in FAMILIES if family.card.files)}."
 
 
 def load_detector(path: Path, *, min_score: float, nms_iou: float, threads: int = 1) -> Detector:

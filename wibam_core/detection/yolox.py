@@ -11,13 +11,21 @@ import onnxruntime
 from numpy.typing import NDArray
 
 from wibam_core.detection.boxes import FloatArray, Found, Image, IntArray, select
+from wibam_core.detection.family import DetectorCard, DetectorFamily
 from wibam_core.detection.riders import road_users
 from wibam_core.road_users import CLASSES, RoadUserClass
 
-#: What files of this family are, after "an ONNX file of".
-YOLOX_FILES = (
-    "the YOLOX family trained on COCO: one image input (1, 3, H, W) and one output (1, cells, 85) that is not decoded, "
-    "with a cell per 8, 16 and 32 px"
+CARD = DetectorCard(
+    name="YOLOX",
+    input_name=None,
+    input_type="tensor(float)",
+    channels="BGR",
+    highest=255.0,
+    outputs=None,
+    decode="a row a cell: offset and logarithm of the size in cells, objectness, probabilities",
+    class_names="coco",
+    files="the YOLOX family trained on COCO: one image input (1, 3, H, W) and one output (1, cells, 85) that is not "
+    "decoded, with a cell per 8, 16 and 32 px",
 )
 STRIDES = (8, 16, 32)
 #: What moves, by COCO's index: the first of its 80 names.
@@ -61,17 +69,16 @@ _MAX_LOG_SIDE = 12.0
 
 def is_yolox_model(session: onnxruntime.InferenceSession) -> bool:
     """Whether a network has the inputs and the output of this family, at a fixed size."""
-    inputs, outputs = session.get_inputs(), session.get_outputs()
-    if len(inputs) != 1 or len(outputs) != 1 or inputs[0].type != "tensor(float)":
+    if CARD.missing(session):
         return False
-    shape, out = inputs[0].shape, outputs[0].shape
+    shape, out = session.get_inputs()[0].shape, session.get_outputs()[0].shape
     if len(shape) != 4 or shape[1] != 3 or not all(isinstance(n, int) and n > 0 and n % 32 == 0 for n in shape[2:]):
         return False
     return len(out) == 3 and out[1:] == [len(_grid(shape[3], shape[2])[0]), 5 + _COCO_CLASSES]
 
 
 class YoloxDetector:
-    """Runs a YOLOX network: letterboxed BGR in 0..255, output not decoded.
+    """Runs a YOLOX network on letterboxed images.
 
     Args:
         session: for which `is_yolox_model` holds.
@@ -84,7 +91,6 @@ class YoloxDetector:
 
     def __init__(self, session: onnxruntime.InferenceSession, *, min_score: float, nms_iou: float) -> None:
         self._session = session
-        self._input = session.get_inputs()[0].name
         self._height, self._width = session.get_inputs()[0].shape[2:]
         self._cells, self._strides = _grid(self._width, self._height)
         self._min_score, self._nms_iou = min_score, nms_iou
@@ -92,9 +98,7 @@ class YoloxDetector:
     def detect(self, image_bgr: Image) -> Found:
         """Road users in an image (H, W, 3) uint8, BGR, in its own pixels."""
         height, width = image_bgr.shape[:2]
-        boxed = letterbox(image_bgr, self._width, self._height)
-        blob = np.ascontiguousarray(boxed.transpose(2, 0, 1)[None], dtype=np.float32)
-        (output,) = self._session.run(None, {self._input: blob})
+        (output,) = CARD.run(self._session, letterbox(image_bgr, self._width, self._height))
         raw = output[0].astype(np.float64)
         vehicles, two_wheelers, persons = (
             self._found(kind, raw, (width, height)) for kind in (_VEHICLES, _TWO_WHEELERS, _PERSONS)
@@ -118,6 +122,9 @@ class YoloxDetector:
         centres = (raw[rows, :2] + self._cells[rows]) * strides
         halves = np.exp(np.minimum(raw[rows, 2:4], _MAX_LOG_SIDE)) * strides / 2
         return np.concatenate([centres - halves, centres + halves], axis=1)
+
+
+YOLOX = DetectorFamily(CARD, is_yolox_model, YoloxDetector)
 
 
 def letterbox(image: Image, width_px: int, height_px: int) -> Image:

@@ -21,7 +21,8 @@ from wibam_core.artifacts.catalogue import (
 )
 from wibam_core.config import DetectConfig
 from wibam_core.detection.background import BackgroundFrames
-from wibam_core.detection.detector import BUNDLED, Detector, load_detector
+from wibam_core.detection.detector import BUNDLED, load_detector
+from wibam_core.detection.family import Detector
 from wibam_core.detection.instants import annotated, frames_of
 from wibam_core.detection.statistics import detection_statistics
 from wibam_core.errors import InputError, NoVehicles
