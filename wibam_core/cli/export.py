@@ -11,7 +11,6 @@ from rich.console import Console
 from rich.markup import escape
 
 from wibam_core.cli.display import list_table, print_list
-from wibam_core.cli.run import parse_options
 from wibam_core.cli.service import DEFAULT_URL, Token, Url, connect
 from wibam_core.documents.exports import BoxSource, ExportOffer
 
@@ -26,14 +25,13 @@ def export(
     token: Token = "",
     out: Annotated[Path, typer.Option(help="A file, or a folder to put it into under its own name.")] = Path(),
     boxes: Annotated[BoxSource, typer.Option(help="3D boxes of the fits, or of the network.")] = BoxSource.FITS,
-    option: Annotated[list[str] | None, typer.Option("--set", help="Of a folder: as for `wibam run`.")] = None,
     outputs: Annotated[Path | None, typer.Option(help="Of a folder: what `wibam run` had as --out.")] = None,
 ) -> None:
     """Write what a job has made in a format of others: one file, or a zip archive of several."""
     console = Console()
     site_dir = Path(job_or_folder)
     if site_dir.is_dir():
-        source = _source(site_dir, option or [], outputs)
+        source = _source(site_dir, outputs)
         if format is None:
             from wibam_core.exports import offers
 
@@ -56,15 +54,13 @@ def _print_offers(console: Console, offers: Sequence[ExportOffer]) -> None:
     print_list(console, table)
 
 
-def _source(site_dir: Path, assignments: list[str], outputs: Path | None) -> ExportSource:
-    from wibam_core.config import PipelineConfig
+def _source(site_dir: Path, outputs: Path | None) -> ExportSource:
     from wibam_core.exports import ExportSource
-    from wibam_core.stages.runner import SiteFolder, published
+    from wibam_core.stages.runner import SiteFolder, latest
     from wibam_core.stages.store import StageStore
 
     folder = SiteFolder.load(site_dir)
-    config = PipelineConfig.parse(parse_options(assignments))
-    artifacts = published(folder, StageStore(outputs or site_dir / "outputs"), config)
+    artifacts = latest(folder, StageStore(outputs or site_dir / "outputs"))
     return ExportSource(folder.site, artifacts, folder.assets.get("labels"))
 
 

@@ -13,7 +13,7 @@ from typing import Any
 from wibam_core.artifacts.access import ArtifactReader
 from wibam_core.config import PipelineConfig
 from wibam_core.documents.warnings import StageWarning
-from wibam_core.errors import MissingCamera, SiteFileError, WibamError
+from wibam_core.errors import MissingCamera, NotFound, SiteFileError, WibamError
 from wibam_core.progress import Progress
 from wibam_core.site import Site
 from wibam_core.stages.assets import ASSETS
@@ -134,6 +134,7 @@ def run_pipeline(
     summaries: dict[str, Summary] = {}
     seconds: dict[str, float] = {}
     stages = plan(folder.site, config, folder.digests())
+    store.remember({planned.name: planned.hash for planned in stages})
     if "finetune" not in folder.given:
         _check_device(stages, store, config, until)
     for planned in stages:
@@ -159,10 +160,16 @@ def run_pipeline(
     return PipelineResult(ArtifactReader(folders), summaries, seconds)
 
 
-def published(folder: SiteFolder, store: StageStore, config: PipelineConfig) -> ArtifactReader:
-    """What `run_pipeline` has made so far, with these options."""
-    stages = plan(folder.site, config, folder.digests())
-    folders = {planned.name: folder.made(planned, store) for planned in stages}
+def latest(folder: SiteFolder, store: StageStore) -> ArtifactReader:
+    """What the latest `run_pipeline` has made so far.
+
+    Raises:
+        NotFound: there was none.
+    """
+    hashes = store.remembered()
+    if not hashes:
+        raise NotFound(f"nothing was run in {store.root} yet", hint="Run the site first: `wibam run SITE_DIR`.")
+    folders = {name: folder.given.get(name) or store.find(name, hash) for name, hash in hashes.items()}
     return ArtifactReader({name: made for name, made in folders.items() if made is not None})
 
 

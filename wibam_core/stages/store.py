@@ -5,12 +5,13 @@ from __future__ import annotations
 import contextlib
 import fcntl
 import hashlib
+import json
 import os
 import re
 import secrets
 import shutil
 import tempfile
-from collections.abc import Callable, Collection, Iterable, Iterator, Sequence
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -21,6 +22,8 @@ from wibam_core.documents.manifest import FileFacts, Manifest
 from wibam_core.documents.warnings import StageWarning
 from wibam_core.stages.base import Summary
 
+#: Which outputs belong together: those of the latest run.
+_LATEST = "latest.json"
 _ADDRESS = re.compile(r"(\w+)-([0-9a-f]{32})")
 
 
@@ -62,6 +65,21 @@ class StageStore:
     def manifest(self, stage: str, hash: str) -> Manifest:
         """What is known about a published stage."""
         return Manifest.model_validate_json((self._folder(stage, hash) / MANIFEST).read_bytes())
+
+    def remember(self, hashes: Mapping[str, str]) -> None:
+        """Note which outputs, by stage, the latest run of all stages is about."""
+        self.root.mkdir(parents=True, exist_ok=True)
+        partial = self.root / f".{_LATEST}-{secrets.token_hex(8)}"
+        partial.write_text(json.dumps(dict(hashes), indent=1), encoding="utf-8")
+        partial.replace(self.root / _LATEST)
+
+    def remembered(self) -> dict[str, str]:
+        """Stage -> hash of what the latest run is about; nothing where there was none."""
+        try:
+            found = json.loads((self.root / _LATEST).read_bytes())
+        except FileNotFoundError:
+            return {}
+        return {str(stage): str(hash) for stage, hash in found.items()}
 
     @contextlib.contextmanager
     def turn(self, hash: str, waiting: Callable[[], None]) -> Iterator[None]:

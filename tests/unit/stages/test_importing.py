@@ -162,7 +162,7 @@ def test_a_dry_run_says_which_stages_are_given(site_dir: Path) -> None:
 def test_the_published_method_is_trained_and_evaluated_on_the_hand_labels(dataset: Path, site_dir: Path) -> None:
     output = run(site_dir, "--until", "evaluate")
     assert output.count("given") >= 6
-    made = {path.name.split("-")[0]: path for path in (site_dir / "outputs").iterdir() if not path.name.startswith(".")}
+    made = {path.name.split("-")[0]: path for path in (site_dir / "outputs").glob("*-*")}
     assert set(made) == {"calibrate", "lift", "finetune", "evaluate"}
     metrics = ArtifactReader(made).read(catalogue.METRICS)
     assert metrics.labels == "hand"
