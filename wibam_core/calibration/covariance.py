@@ -4,6 +4,12 @@ To first order around the solution the unknowns have the covariance σ² (JᵀJ)
 projected points by the unknowns (Hartley & Zisserman, Multiple View Geometry, 2nd ed., section 5.2). The variance σ² of
 the clicks is estimated from the residuals, by ν numbers more than there are unknowns; for that reason the errors follow
 Student's t distribution with ν degrees of freedom, whose variance is ν / (ν − 2) times as large.
+
+Where the focal length was solved, too, so was the principal point, against a cost Λ of leaving the middle. With
+A = JᵀJ + Λ the errors then have two sources, clicks and the true principal point about the middle, and the covariance
+is A⁻¹ (σ² JᵀJ + c² Λ) A⁻¹, where c is what one standard deviation of the principal point costs
+(`wibam_core.calibration.homography`). Rotation and principal point then hardly tell from each other, but make up for
+each other on the ground, so that the ground is what to judge a camera by.
 """
 
 from __future__ import annotations
@@ -13,6 +19,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from wibam_core.calibration.homography import PRINCIPAL_POINT_COST_PX, PRINCIPAL_POINT_SD
 from wibam_core.geometry.camera import Camera
 
 Array = NDArray[np.float64]
@@ -26,13 +33,14 @@ class CameraCovariance:
     """The covariance of a solved camera.
 
     Attributes:
-        matrix: (6, 6), or (7, 7) where the focal length was solved, too: of the rotation (rad, about the camera's x, y
-            and z axes), the position (m, along the world's) and the logarithm of the focal length.
-        focal_px: the focal length; None where it was given.
+        matrix: (6, 6), or (9, 9) where the focal length was solved, too: of the rotation (rad, about the camera's x, y
+            and z axes), the position (m, along the world's), the logarithm of the focal length and the principal point
+            (px).
+        camera: the solution.
     """
 
     matrix: Array
-    focal_px: float | None
+    camera: Camera
 
     @property
     def rotation_sd_deg(self) -> list[float]:
@@ -47,7 +55,14 @@ class CameraCovariance:
     @property
     def focal_sd_px(self) -> float | None:
         """Standard deviation of the focal length; None where it was given."""
-        return None if self.focal_px is None else float(self.focal_px * np.sqrt(self.matrix[6, 6]))
+        return float(self.camera.K[0, 0] * np.sqrt(self.matrix[6, 6])) if len(self.matrix) > 6 else None
+
+    def ground_sd_m(self, ground: Array) -> Array:
+        """(N,) standard deviations of where the pixels of ground points (N, 3) meet the ground, both axes together."""
+        jacobian = _jacobian(self.camera, ground)[:, : len(self.matrix)].reshape(len(ground), 2, len(self.matrix))
+        by_place = -jacobian[:, :, 3:5]
+        moves = np.linalg.solve(by_place, jacobian)
+        return np.asarray(np.sqrt(np.einsum("nij,jk,nik->n", moves, self.matrix, moves)))
 
 
 def camera_covariance(camera: Camera, world: Array, pixels: Array, *, solved_focal: bool) -> CameraCovariance | None:
@@ -57,24 +72,31 @@ def camera_covariance(camera: Camera, world: Array, pixels: Array, *, solved_foc
         camera: the solution.
         world: (N, 3) the points that it rests on, m; all in front of it.
         pixels: (N, 2) where they were seen.
-        solved_focal: the focal length was solved with the pose.
+        solved_focal: the focal length was solved with the pose, and the principal point as far as points on the ground
+            tell it.
 
     Returns:
         None where there are too few points to tell: the numbers seen are to be three more than the unknowns at least.
     """
-    unknowns = 7 if solved_focal else 6
-    freedom = pixels.size - unknowns
+    freedom = pixels.size - (7 if solved_focal else 6)
     if freedom <= 2:
         return None
-    jacobian = _jacobian(camera, world)[:, :unknowns]
     squares = float(((camera.project(world)[0] - pixels) ** 2).sum())
-    _, values, axes = np.linalg.svd(jacobian, full_matrices=False)
-    matrix = (axes.T / values**2) @ axes * squares / (freedom - 2)
-    return CameraCovariance(matrix, float(camera.K[0, 0]) if solved_focal else None)
+    variance_px2 = squares / (freedom - 2)
+    jacobian = _jacobian(camera, world)
+    if not solved_focal:
+        _, values, axes = np.linalg.svd(jacobian[:, :6], full_matrices=False)
+        return CameraCovariance((axes.T / values**2) @ axes * variance_px2, camera)
+    cost = np.zeros((2, 9))
+    cost[:, 7:] = PRINCIPAL_POINT_COST_PX / (PRINCIPAL_POINT_SD * camera.width_px) * np.eye(2)
+    solved = np.linalg.pinv(np.concatenate([jacobian, cost]))  # A⁻¹ (Jᵀ, √Λ)
+    by_clicks, by_middle = solved[:, :-2], solved[:, -2:]
+    matrix = variance_px2 * by_clicks @ by_clicks.T + PRINCIPAL_POINT_COST_PX**2 * by_middle @ by_middle.T
+    return CameraCovariance(matrix, camera)
 
 
 def _jacobian(camera: Camera, world: Array) -> Array:
-    """(2N, 7) derivatives of the pixels of points (N, 3) by rotation, position and log focal length."""
+    """(2N, 9) derivatives of the pixels of points (N, 3) by rotation, position, log focal length, principal point."""
     cam = camera.to_camera(world)
     by_cam = np.empty((len(cam), 2, 3))
     for axis in range(3):
@@ -88,4 +110,5 @@ def _jacobian(camera: Camera, world: Array) -> Array:
     by_rotation = by_cam @ cross
     by_position = -by_cam @ camera.T_cam_world.rotation
     by_log_focal = (camera.project_camera_points(cam) - camera.K[:2, 2])[:, :, None]
-    return np.concatenate([by_rotation, by_position, by_log_focal], axis=2).reshape(-1, 7)
+    by_middle = np.tile(np.eye(2), (len(cam), 1, 1))
+    return np.concatenate([by_rotation, by_position, by_log_focal, by_middle], axis=2).reshape(-1, 9)

@@ -2,7 +2,8 @@
 
 The homography is linear least squares on normalised points (direct linear transform; Hartley & Zisserman,
 Multiple View Geometry, 2nd ed., algorithm 4.2). Focal length and pose follow from it when pixels are square and the
-principal point is the image's centre (ibid., section 8.8).
+principal point is the image's centre (ibid., section 8.8). Of real cameras it lies off by a few hundredths of the
+width; it may therefore move, against resistance, where the points gain by it.
 """
 
 from __future__ import annotations
@@ -27,6 +28,10 @@ _DEGENERATE = 3.0
 _DEGENERATE_ABSOLUTE = 1e-6
 #: Focal lengths beyond these multiples of the image's width are no traffic camera's.
 _FOCAL_RANGE = (0.2, 30.0)
+#: Standard deviation of the principal point about the middle of the image, as a share of its width.
+PRINCIPAL_POINT_SD = 0.02
+#: One such deviation counts as much as one point that is off by this: the plane, the lens and the points are not exact.
+PRINCIPAL_POINT_COST_PX = 3.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -34,7 +39,7 @@ class GroundFit:
     """A camera solved from ground points.
 
     Attributes:
-        camera: with square pixels, centred principal point and no distortion.
+        camera: with square pixels, a principal point near the middle and no distortion.
         used: (N,) which points it rests on; the others contradict it.
     """
 
@@ -172,13 +177,15 @@ def camera_from_homography(H_image_ground: Array, visible: Array, width_px: int,
 
 
 def _polish(camera: Camera, ground: Array, pixels: Array) -> Camera:
-    """The same kind of camera with the smallest reprojection error."""
+    """The camera with the smallest reprojection error and cost of its principal point."""
     world = np.concatenate([ground, np.zeros((len(ground), 1))], axis=1)
     centre = world.mean(axis=0)
+    sd_px = PRINCIPAL_POINT_SD * camera.width_px
 
     def rebuild(x: Array) -> Camera:
         K = np.array(camera.K)
         K[0, 0] = K[1, 1] = camera.K[0, 0] * np.exp(x[0])
+        K[:2, 2] += sd_px * x[7:9]
         turn = SE3.from_rvec_tvec(x[1:4], np.zeros(3))
         at_centre = SE3(np.eye(3), centre)
         pose = at_centre @ turn @ at_centre.inverse() @ camera.T_world_cam
@@ -187,8 +194,9 @@ def _polish(camera: Camera, ground: Array, pixels: Array) -> Camera:
 
     def residuals(x: Array) -> Array:
         projected, _ = rebuild(x).project(world)
-        return np.asarray(np.nan_to_num(projected - pixels, nan=1e4).reshape(-1))
+        errors_px = np.nan_to_num(projected - pixels, nan=1e4).reshape(-1)
+        return np.concatenate([errors_px, PRINCIPAL_POINT_COST_PX * x[7:9]])
 
-    solution = least_squares(residuals, np.zeros(7), method="trf", x_scale="jac", max_nfev=200)
+    solution = least_squares(residuals, np.zeros(9), method="trf", x_scale="jac", max_nfev=200)
     polished = rebuild(solution.x)
     return polished if polished.centre_m[2] > 0 else camera

@@ -25,9 +25,10 @@ Array = NDArray[np.float64]
 ZONES_M = ((0.0, 15.0), (15.0, 30.0), (30.0, 50.0), (50.0, 80.0), (80.0, 200.0))
 #: Points that a sentence names, at most.
 _NAMED_POINTS = 3
-#: Standard deviations beyond which other cameras' boxes of one vehicle stop meeting.
+#: How well the ground is known is judged this near to a camera; beyond this standard deviation, boxes of one vehicle in
+#: several cameras stop meeting.
+_NEAR_M = 50.0
 _LOOSE_M = 1.0
-_LOOSE_DEG = 1.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -89,6 +90,15 @@ class Residuals:
         """Median reprojection error of all points; None without points."""
         return _median(self.error_px)
 
+    @property
+    def ground_sd_m(self) -> float | None:
+        """Median standard deviation of places on the ground near the camera; None where it is not known."""
+        if self.covariance is None:
+            return None
+        ground = visible_ground(self.camera)
+        near = ground[np.linalg.norm((ground - self.camera.centre_m)[:, :2], axis=1) <= _NEAR_M]
+        return _median(self.covariance.ground_sd_m(near))
+
     def document(self) -> CameraResiduals:
         """The camera's figures, one entry per point, and one per zone of `ZONES_M`."""
         rms = float(np.sqrt(np.nanmean(self.error_px**2))) if len(self.error_px) else None
@@ -99,6 +109,7 @@ class Residuals:
             position_sd_m=None if self.covariance is None else self.covariance.position_sd_m,
             rotation_sd_deg=None if self.covariance is None else self.covariance.rotation_sd_deg,
             focal_sd_px=None if self.covariance is None else self.covariance.focal_sd_px,
+            ground_sd_m=self.ground_sd_m,
             covariance=None if self.covariance is None else self.covariance.matrix.tolist(),
             points=len(self.world),
             rejected=int((~self.used).sum()),
@@ -195,19 +206,17 @@ def fit_cautions(residuals: Residuals) -> list[Caution]:
                 details={"points": len(residuals.used)},
             )
         )
-    if residuals.covariance is not None:
-        position_m = float(np.linalg.norm(residuals.covariance.position_sd_m))
-        rotation_deg = float(np.linalg.norm(residuals.covariance.rotation_sd_deg))
-        if position_m > _LOOSE_M or rotation_deg > _LOOSE_DEG:
-            found.append(
-                Caution(
-                    code="loose_camera",
-                    message=f"the points fix the camera to {position_m:.1f} m and {rotation_deg:.1f}° only (standard "
-                    "deviations)",
-                    hint="Give more points, spread wider: to the left and right, near and far, and raised ones.",
-                    details={"position_sd_m": position_m, "rotation_sd_deg": rotation_deg},
-                )
+    ground_sd_m = residuals.ground_sd_m
+    if ground_sd_m is not None and ground_sd_m > _LOOSE_M:
+        found.append(
+            Caution(
+                code="loose_camera",
+                message=f"the points fix places on the ground within {_NEAR_M:.0f} m to {ground_sd_m:.1f} m only "
+                "(standard deviation)",
+                hint="Give more points, spread wider: to the left and right, near and far, and raised ones.",
+                details={"ground_sd_m": ground_sd_m},
             )
+        )
     return found
 
 

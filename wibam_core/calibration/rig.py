@@ -24,6 +24,8 @@ Array = NDArray[np.float64]
 
 #: World points of a homography must lie this close to the ground.
 _GROUND_TOLERANCE_M = 0.01
+#: Clicks this close to the image, as a share of its longer side, are at its border.
+_BESIDE = 0.01
 #: Mean misfits that clicks explain, and that they do not; between them, another reading of the numbers is a warning.
 _GOOD_PX = 1.0
 _BAD_PX = 5.0
@@ -64,13 +66,14 @@ def solve_camera(camera: SiteCamera, config: CalibrateConfig) -> Residuals:
         cautions = [*intrinsics_cautions(solved), *view_cautions(solved)]
         return Residuals.of(given.kind, solved, np.zeros((0, 3)), np.zeros((0, 2)), cautions=cautions)
     world, pixels = _arrays(given.correspondences)
-    _check_pixels(pixels, width_px, height_px)
+    beside = _check_pixels(pixels, width_px, height_px)
     if isinstance(given, PnPCalibration):
         sighting = Sighting(world, pixels, width_px, height_px, np.array(given.K), np.array(given.dist))
     else:
         check_on_ground(world, _GROUND_TOLERANCE_M)
         sighting = Sighting(world, pixels, width_px, height_px, None, np.zeros(0))
-    return _solved(given.kind, sighting, config.max_error_px)
+    result = _solved(given.kind, sighting, config.max_error_px)
+    return replace(result, cautions=(*beside, *result.cautions))
 
 
 def _solved(kind: str, sighting: Sighting, max_error_px: float) -> Residuals:
@@ -123,16 +126,29 @@ def _arrays(correspondences: tuple[Correspondence, ...]) -> tuple[Array, Array]:
     return world, pixels
 
 
-def _check_pixels(pixels: Array, width_px: int, height_px: int) -> None:
-    outside = (pixels < -0.5).any(axis=1) | (pixels[:, 0] > width_px) | (pixels[:, 1] > height_px)
-    if outside.any():
-        u, v = pixels[outside][0]
-        raise CalibrationError(
-            f"{int(outside.sum())} of {len(pixels)} pixels lie outside the image of {width_px}x{height_px} px, "
-            f"e.g. ({u:.0f}, {v:.0f})",
-            hint="Pixels are u (to the right), v (down) in the recording's size; scale them if they were clicked in a "
-            "resized picture.",
-        )
+def _check_pixels(pixels: Array, width_px: int, height_px: int) -> list[Caution]:
+    """What is doubtful about clicked pixels (N, 2).
+
+    Raises:
+        CalibrationError: some lie outside the image.
+    """
+    size = np.array([width_px, height_px])
+    beyond = np.maximum(-0.5 - pixels, pixels - (size - 0.5)).max(axis=1, initial=-np.inf)
+    outside = beyond > 0
+    if not outside.any():
+        return []
+    u, v = pixels[int(beyond.argmax())]
+    message = (
+        f"{int(outside.sum())} of {len(pixels)} pixels lie outside the image of {width_px}x{height_px} px, "
+        f"e.g. ({u:.0f}, {v:.0f})"
+    )
+    hint = (
+        "Pixels are u (to the right), v (down) in the recording's size; scale them if they were clicked in a "
+        "resized picture."
+    )
+    if beyond.max() > _BESIDE * max(width_px, height_px):
+        raise CalibrationError(message, hint=hint)
+    return [Caution(code="pixels_outside", message=message, hint=hint, details={"pixels": int(outside.sum())})]
 
 
 def check_overlap(rig: CameraRig) -> None:

@@ -50,9 +50,11 @@ class CameraResiduals(Document):
     """Those of the rotation about the camera's x, y and z axes (x right, y down, z forward)."""
     focal_sd_px: float | None = None
     """That of the focal length, where it was solved from the points."""
+    ground_sd_m: float | None = None
+    """That of places on the ground within 50 m, at the median over what the camera sees."""
     covariance: list[list[float]] | None = None
-    """All of these together: of the rotation (rad), the position (m) and, where it was solved, the logarithm of the
-    focal length, in this order. The principal point and the lens are taken to be exact."""
+    """All of these together: of the rotation (rad), the position (m) and, where they were solved, the logarithm of the
+    focal length and the principal point (px), in this order. What was given is taken to be exact."""
     points: int
     rejected: int
     median_px: float | None

@@ -163,17 +163,12 @@ def _calibration(residuals: CalibrationResiduals) -> tuple[CalibrationRow, ...]:
             one.median_px,
             one.max_px,
             one.median_m,
-            _overall(one.position_sd_m),
-            _overall(one.rotation_sd_deg),
+            None if one.position_sd_m is None else float(np.linalg.norm(one.position_sd_m)),
+            one.ground_sd_m,
             {(zone.from_m, zone.to_m): zone.m_per_px for zone in one.zones if zone.m_per_px is not None},
         )
         for camera_id, one in residuals.cameras.items()
     )
-
-
-def _overall(sd: Sequence[float] | None) -> float | None:
-    """One standard deviation for those of all axes."""
-    return None if sd is None else float(np.linalg.norm(sd))
 
 
 def _dataset(inputs: ArtifactReader) -> Dataset:

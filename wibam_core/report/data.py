@@ -71,7 +71,8 @@ class CalibrationRow:
         kind: "matrices", "pnp" or "homography".
         points: measured ones. rejected: of them, those that the camera does not rest on.
         median_px, max_px: reprojection error. median_m: distance on the ground.
-        position_sd_m: standard deviation of the position, all directions together. rotation_sd_deg: likewise.
+        position_sd_m: standard deviation of the position, all directions together.
+        ground_sd_m: of places on the ground near the camera.
         pixel_m: distance (from, to) in m -> how far a ground point there moves when its pixel is one off, m.
     """
 
@@ -83,7 +84,7 @@ class CalibrationRow:
     max_px: float | None
     median_m: float | None
     position_sd_m: float | None
-    rotation_sd_deg: float | None
+    ground_sd_m: float | None
     pixel_m: Mapping[tuple[float, float], float]
 
 

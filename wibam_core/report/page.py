@@ -277,7 +277,7 @@ def _calibration(data: ReportData) -> tuple[tuple[str, ...], ...]:
         shown = NONE if file is None else f"{file.width_px} × {file.height_px}, {file.fps:.2f} fps, {file.codec}"
         used = f"{row.points}" + (f" ({row.rejected} rejected)" if row.rejected else "")
         errors = (number(row.median_px, 2), number(row.max_px, 2), number(row.median_m, 3))
-        spreads = (number(row.position_sd_m, 2), number(row.rotation_sd_deg, 2))
+        spreads = (number(row.position_sd_m, 2), number(row.ground_sd_m, 2))
         pixels = (number(row.pixel_m.get(zone), 3) for zone in _zones(data))
         rows.append((row.camera_id, shown, _KINDS.get(row.kind, row.kind), used, *errors, *spreads, *pixels))
     return tuple(rows)

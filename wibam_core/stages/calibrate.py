@@ -9,7 +9,7 @@ from wibam_core.documents.calibration import CalibrationResiduals
 from wibam_core.stages.base import StageContext, Summary
 
 _SUMMARISED = {
-    "kind", "points", "rejected", "median_px", "max_px", "median_m", "position_sd_m", "rotation_sd_deg",
+    "kind", "points", "rejected", "median_px", "max_px", "median_m", "position_sd_m", "ground_sd_m",
 }  # fmt: skip
 
 

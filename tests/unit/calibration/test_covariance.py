@@ -10,6 +10,7 @@ from wibam_core.calibration.covariance import camera_covariance
 from wibam_core.calibration.homography import solve_ground_camera
 from wibam_core.calibration.pnp import solve_pose
 from wibam_core.geometry.camera import Camera
+from wibam_core.geometry.ground import intersect_plane
 
 ROAD = np.array([[-9, -6], [-4, 5], [3, -3], [8, 7], [2, 9], [-3, -2], [9, 2], [-7, 3]], dtype=float)
 GROUND = np.concatenate([ROAD, np.zeros((8, 1))], axis=1)
@@ -26,9 +27,16 @@ def rotation_error_rad(found: Camera, truth: Camera) -> np.ndarray:
     return np.array([turned[2, 1] - turned[1, 2], turned[0, 2] - turned[2, 0], turned[1, 0] - turned[0, 1]]) / 2
 
 
+def off_middle(rng: np.random.Generator) -> Camera:
+    """A camera whose principal point lies off the middle as those of real ones do, by 2 % of the width."""
+    K = np.array(PINHOLE.K)
+    K[:2, 2] += rng.normal(0, 0.02 * 640, 2)
+    return Camera(K, np.zeros(0), PINHOLE.T_world_cam, 640, 360)
+
+
 def solved(kind: str, points: np.ndarray, rng: np.random.Generator) -> tuple[Camera, Camera, np.ndarray]:
     """A camera from noisy clicks, the truth, and the clicks."""
-    truth = CAMERA if kind == "pnp" else PINHOLE
+    truth = CAMERA if kind == "pnp" else off_middle(rng)
     pixels = truth.project(points)[0] + rng.normal(0, 0.5, (len(points), 2))
     if kind == "pnp":
         pose = solve_pose(points + UTM, pixels, truth.K, truth.dist)
@@ -41,7 +49,7 @@ def solved(kind: str, points: np.ndarray, rng: np.random.Generator) -> tuple[Cam
 )
 def test_nineteen_of_twenty_errors_lie_within_two_standard_deviations(kind: str, points: np.ndarray) -> None:
     rng = np.random.default_rng(0)
-    scaled = []
+    scaled, on_ground = [], []
     for _ in range(TRIALS):
         camera, truth, pixels = solved(kind, points, rng)
         found = camera_covariance(camera, points + UTM, pixels, solved_focal=kind == "homography")
@@ -53,7 +61,12 @@ def test_nineteen_of_twenty_errors_lie_within_two_standard_deviations(kind: str,
             sd.append(found.focal_sd_px or 0.0)
         else:
             assert found.focal_sd_px is None
+        ground = np.array([[0.0, 0.0, 0.0], [6.0, -2.0, 0.0], [-2.0, 6.0, 0.0]])
+        seen = truth.project(ground)[0]
+        off_m = np.linalg.norm((intersect_plane(camera, seen) - UTM - ground)[:, :2], axis=1)
+        on_ground.append(off_m / found.ground_sd_m(ground + UTM))
         scaled.append(np.array(errors) / sd)
+    assert np.sqrt(np.mean(np.square(on_ground))) == pytest.approx(1.0, abs=0.25)
     inside = (np.abs(np.array(scaled)) < 2).mean(axis=0)
     assert (inside > 0.9).all() and (inside < 0.995).all()
 

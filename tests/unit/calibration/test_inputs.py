@@ -168,11 +168,21 @@ def test_a_wrong_click_is_left_out_and_named():
 
 
 def test_points_that_hardly_fix_the_camera_are_warned_of():
-    clump = np.concatenate([0.12 * GROUND[:, :2] + [2.0, 1.0], np.zeros((8, 1))], axis=1)
-    result = solve_camera(entry("pnp", clump, clicked(clump, noise_px=1.0)), CONFIG)
+    clump = np.concatenate([0.05 * GROUND[:, :2] + [2.0, 1.0], np.zeros((8, 1))], axis=1)
+    result = solve_camera(entry("pnp", clump, clicked(clump, noise_px=1.5)), CONFIG)
     assert "loose_camera" in codes(result)
-    document = result.document()
-    assert document.position_sd_m is not None and np.linalg.norm(document.position_sd_m) > 1.0
+    assert result.document().ground_sd_m == result.ground_sd_m
+    assert result.ground_sd_m is not None and result.ground_sd_m > 1.0
+
+
+def test_a_click_just_beside_the_image_is_warned_of():
+    camera = look_at((-20.0, -15.0, 8.0), focal_px=700.0)
+    pixels = clicked(RAISED, camera)
+    shifted = Camera(
+        camera.K - [[0, 0, 0], [0, 0, pixels[:, 1].min() + 3.0], [0, 0, 0]], camera.dist, camera.T_world_cam, 640, 360
+    )
+    given = entry("pnp", RAISED, shifted.project(RAISED)[0], shifted)
+    assert "pixels_outside" in codes(solve_camera(given, CONFIG))
 
 
 def test_few_points_are_warned_of():
