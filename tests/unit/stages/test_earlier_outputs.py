@@ -23,6 +23,7 @@ from wibam_core.documents.recordings import Limits, Probe, VideoInfo
 from wibam_core.documents.synchronisation import Synchronisation
 from wibam_core.errors import NoOverlap
 from wibam_core.formats.clocks import Clocks
+from wibam_core.road_users import RoadUserClass
 from wibam_core.scene import ClockMap, site_camera
 from wibam_core.site import Site
 from wibam_core.stages import detect, frames
@@ -61,6 +62,7 @@ class Counted:
 
     opened: list[str] = field(default_factory=list)
     searched: int = 0
+    classes: tuple[RoadUserClass, ...] = (RoadUserClass.CAR,)
 
     def detect(self, image_bgr: np.ndarray) -> Found:
         self.searched += 1
