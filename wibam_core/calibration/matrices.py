@@ -139,20 +139,27 @@ def size_of_intrinsics(K: Array, width_px: int, height_px: int) -> tuple[int, in
     return width, height
 
 
-def intrinsics_cautions(camera: Camera) -> list[Caution]:
-    """What is unusual about a camera's intrinsics."""
+def intrinsics_cautions(camera: Camera, *, solved: bool = False) -> list[Caution]:
+    """What is unusual about a camera's intrinsics, whether they were given or ``solved`` from points on the ground."""
     K, width_px, height_px = camera.K, camera.width_px, camera.height_px
     found = []
     off = np.array([(K[0, 2] + 0.5) / width_px - 0.5, (K[1, 2] + 0.5) / height_px - 0.5])
     if np.abs(off).max() > _OFF_CENTRE:
         size = size_of_intrinsics(K, width_px, height_px)
         guess = "" if size is None else f" It would be in the middle of about {size[0]}x{size[1]} px."
+        hint = f"Is K that of another resolution or crop? It must be that of the recording.{guess}"
+        if solved:
+            hint = (
+                "Either the points lie off one plane, or the lens bends the picture, or the pixels are those of a "
+                "picture of another size. Take points on the level part of the road, or give K and use calibration "
+                "kind 'pnp'."
+            )
         found.append(
             Caution(
                 code="principal_point",
                 message=f"the principal point ({K[0, 2]:.0f}, {K[1, 2]:.0f}) lies far from the middle of "
                 f"{width_px}x{height_px} px",
-                hint=f"Is K that of another resolution or crop? It must be that of the recording.{guess}",
+                hint=hint,
                 details={"principal_point_px": [float(K[0, 2]), float(K[1, 2])]},
             )
         )

@@ -118,7 +118,7 @@ def check_on_ground(world: Array, tolerance_m: float) -> None:
     if np.abs(heights).max() <= tolerance_m:
         return
     level = float(np.median(heights))
-    if np.ptp(heights) <= 2 * _ROAD_M and abs(level) > tolerance_m:
+    if np.ptp(heights) <= max(2 * _ROAD_M, abs(level) / 4) and abs(level) > tolerance_m:
         raise CalibrationError(
             f"all points lie around z = {level:.2f} m, but calibration kind 'homography' takes points on the road, at "
             "z = 0",

@@ -25,6 +25,8 @@ Array = NDArray[np.float64]
 ZONES_M = ((0.0, 15.0), (15.0, 30.0), (30.0, 50.0), (50.0, 80.0), (80.0, 200.0))
 #: Points that a sentence names, at most.
 _NAMED_POINTS = 3
+#: Points are clicked to this, at the median.
+_CLICK_PX = 3.0
 #: How well the ground is known is judged this near to a camera; beyond this standard deviation, boxes of one vehicle in
 #: several cameras stop meeting.
 _NEAR_M = 50.0
@@ -204,6 +206,16 @@ def fit_cautions(residuals: Residuals) -> list[Caution]:
                 message=f"{len(residuals.used)} points fix the camera, but leave little to check them by",
                 hint=f"Give at least {MIN_POINTS}, well spread: among fewer, a wrong click goes unnoticed.",
                 details={"points": len(residuals.used)},
+            )
+        )
+    median_px = residuals.median_px
+    if median_px is not None and median_px > _CLICK_PX:
+        found.append(
+            Caution(
+                code="poor_fit",
+                message=f"the points are off by {median_px:.1f} px at the median, more than clicks are",
+                hint="Check the intrinsics, the coordinates and heights of the points, and that these stand still.",
+                details={"median_px": median_px},
             )
         )
     ground_sd_m = residuals.ground_sd_m

@@ -105,8 +105,7 @@ def _solved(kind: str, sighting: Sighting, max_error_px: float) -> Residuals:
     if reading is not None and misfit_px > _BAD_PX:
         raise CalibrationError(reading.meaning, hint=reading.hint, misfit_px=misfit_px)
     cautions = [*levels, *view_cautions(camera), *fit_cautions(residuals)]
-    if sighting.K is not None:
-        cautions += intrinsics_cautions(camera)
+    cautions += intrinsics_cautions(camera, solved=sighting.K is None)
     if reading is not None:
         details = {"misfit_px": misfit_px}
         cautions.append(Caution(code="other_reading", message=reading.meaning, hint=reading.hint, details=details))

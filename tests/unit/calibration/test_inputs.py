@@ -175,6 +175,24 @@ def test_points_that_hardly_fix_the_camera_are_warned_of():
     assert result.ground_sd_m is not None and result.ground_sd_m > 1.0
 
 
+def test_points_that_fit_poorly_are_warned_of():
+    result = solve_camera(entry("pnp", RAISED, clicked(RAISED, noise_px=6.0)), CONFIG)
+    [caution] = [caution for caution in result.cautions if caution.code == "poor_fit"]
+    assert caution.details["median_px"] == result.median_px
+
+
+def test_heights_of_a_sloping_road_above_the_sea_are_refused_with_the_offset_for_a_homography():
+    sloping = GROUND + np.array([0.0, 0.0, 1.0]) * (34.0 + 0.1 * GROUND[:, :1])
+    assert "off every z" in refused(entry("homography", sloping, clicked(GROUND)))
+
+
+def test_ground_points_clicked_in_a_picture_of_another_size_are_warned_of():
+    pixels = (clicked(GROUND) + 0.5) / 2 - 0.5
+    result = solve_camera(entry("homography", GROUND, pixels), CONFIG)
+    [caution] = [caution for caution in result.cautions if caution.code == "principal_point"]
+    assert "another size" in caution.hint
+
+
 def test_a_click_just_beside_the_image_is_warned_of():
     camera = look_at((-20.0, -15.0, 8.0), focal_px=700.0)
     pixels = clicked(RAISED, camera)
