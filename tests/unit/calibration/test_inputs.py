@@ -10,6 +10,7 @@ from hypothesis import strategies as st
 
 from tests.builders import look_at
 from tests.stage_folders import StageFolders
+from wibam_core.calibration.matrices import intrinsics_cautions
 from wibam_core.calibration.residuals import Residuals, misfit_problem
 from wibam_core.calibration.rig import solve_camera
 from wibam_core.config import CalibrateConfig
@@ -186,11 +187,17 @@ def test_heights_of_a_sloping_road_above_the_sea_are_refused_with_the_offset_for
     assert "off every z" in refused(entry("homography", sloping, clicked(GROUND)))
 
 
-def test_ground_points_clicked_in_a_picture_of_another_size_are_warned_of():
+def test_pixels_of_a_smaller_picture_fit_ground_points_poorly():
     pixels = (clicked(GROUND) + 0.5) / 2 - 0.5
-    result = solve_camera(entry("homography", GROUND, pixels), CONFIG)
-    [caution] = [caution for caution in result.cautions if caution.code == "principal_point"]
-    assert "another size" in caution.hint
+    assert "poor_fit" in codes(solve_camera(entry("homography", GROUND, pixels), CONFIG))
+
+
+def test_a_principal_point_far_off_is_blamed_on_what_was_given():
+    K = np.array(CAMERA.K) + [[0, 0, 100.0], [0, 0, 0], [0, 0, 0]]
+    camera = Camera(K, CAMERA.dist, CAMERA.T_world_cam, 640, 360)
+    for solved, blamed in ((False, "Is K that of another"), (True, "the points lie off one plane")):
+        [caution] = intrinsics_cautions(camera, solved=solved)
+        assert caution.code == "principal_point" and blamed in caution.hint
 
 
 def test_a_click_just_beside_the_image_is_warned_of():
