@@ -2,7 +2,30 @@
 
 from __future__ import annotations
 
+from typing import Literal
+
+from pydantic import Field
+
 from wibam_core.documents.base import Document
+
+
+class Segment(Document):
+    """A stretch of a recording on one clock: a file of several, or what follows a jump of the clock.
+
+    All times are on the recording's one timeline, in which segments follow one another.
+    """
+
+    first_ns: int
+    """Time of its first frame."""
+    last_ns: int
+    """Time of its last frame."""
+    frames: int
+    file: str
+    """Name of the file that it comes from."""
+    placed_by: Literal["stamps", "timecode", "creation_time", "name", "assumed"]
+    """What says where it lies against the segment before. ``assumed``: nothing does, and it was put right behind, so
+    that how long the camera was off is unknown until the cameras are synchronised. ``creation_time`` and ``name`` are
+    exact to a second or so, the others to a frame or better."""
 
 
 class VideoInfo(Document):
@@ -34,6 +57,8 @@ class VideoInfo(Document):
     """Longest interval between two frames."""
     variable_rate: bool
     """Some intervals differ from the usual one by more than a tenth."""
+    segments: list[Segment] = Field(default_factory=list)
+    """In order, the first included; empty where the recording is of one piece."""
 
 
 class Probe(Document):

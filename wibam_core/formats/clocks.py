@@ -5,7 +5,8 @@
     {"format": "wibam-clocks", "version": 1, "clocks": [
         {"camera_id": "north", "offset_ns": 0, "drift": 0.0, "offset_sd_ns": 0.0, "drift_sd": 0.0}, ...]}
 
-The first camera is the reference. Standard deviations are absent where they are unknown.
+The first camera is the reference. Standard deviations are absent where they are unknown. Where segments of a recording
+lie elsewhere than assumed, a clock also has ``"pieces": [{"from_ns": 8000000000, "shift_ns": 61250000000}, ...]``.
 """
 
 from __future__ import annotations
@@ -19,7 +20,7 @@ import pydantic
 from pydantic import BaseModel, ConfigDict, Field
 
 from wibam_core.errors import InputError
-from wibam_core.scene import ClockMap
+from wibam_core.scene import ClockMap, ClockPiece
 
 
 @dataclass(frozen=True)
@@ -53,6 +54,13 @@ class Clocks(Mapping[str, ClockMap]):
         return len(self.maps)
 
 
+class _Piece(BaseModel):
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+    from_ns: int
+    shift_ns: int
+
+
 class _Clock(BaseModel):
     model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
 
@@ -61,6 +69,16 @@ class _Clock(BaseModel):
     drift: float = Field(gt=-0.5, lt=0.5)
     offset_sd_ns: float | None = Field(None, ge=0)
     drift_sd: float | None = Field(None, ge=0)
+    pieces: tuple[_Piece, ...] | None = None
+
+    @pydantic.model_validator(mode="after")
+    def _ascending_pieces(self) -> _Clock:
+        self.map()
+        return self
+
+    def map(self) -> ClockMap:
+        pieces = tuple(ClockPiece(piece.from_ns, piece.shift_ns) for piece in self.pieces or ())
+        return ClockMap(self.offset_ns, self.drift, pieces)
 
 
 class _Clocks(BaseModel):
@@ -89,6 +107,7 @@ def write_clocks(path: Path, clocks: Clocks) -> None:
                 drift=float(clock.drift),
                 offset_sd_ns=known[camera_id].offset_sd_ns if camera_id in known else None,
                 drift_sd=known[camera_id].drift_sd if camera_id in known else None,
+                pieces=tuple(_Piece(from_ns=p.from_ns, shift_ns=p.shift_ns) for p in clock.pieces) or None,
             )
             for camera_id, clock in clocks.items()
         )
@@ -113,7 +132,7 @@ def read_clocks(path: Path) -> Clocks:
             f"{path.name} is no table of clocks: {where}: {first['msg']}", hint="Use the clocks.json of the sync stage."
         ) from error
     return Clocks(
-        {clock.camera_id: ClockMap(clock.offset_ns, clock.drift) for clock in read},
+        {clock.camera_id: clock.map() for clock in read},
         {
             clock.camera_id: ClockError(clock.offset_sd_ns, clock.drift_sd)
             for clock in read

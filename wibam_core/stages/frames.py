@@ -166,13 +166,24 @@ def _camera(
     span = _span(info, clock)
     near = instants[(instants >= span.first_ns - tolerance_ns) & (instants <= span.last_ns + tolerance_ns)]
     local = clock.to_local_ns(near)
+    tolerances_ns = _within_pieces(clock, local, tolerance_ns)
     of_background, background_tolerance_ns = BackgroundFrames.targets_ns(times_ns)
     targets = [
-        _Target(time, tolerance_ns, instant) for time, instant in zip(local.tolist(), near.tolist(), strict=True)
+        _Target(time, tolerance, instant)
+        for time, tolerance, instant in zip(local.tolist(), tolerances_ns.tolist(), near.tolist(), strict=True)
     ]
     targets += [_Target(time, background_tolerance_ns, None) for time in of_background.tolist()]
     targets.sort(key=lambda target: target.local_ns)
     return _Camera(camera_id, recording, clock, info, times_ns, targets)
+
+
+def _within_pieces(clock: ClockMap, local_ns: NDArray[np.int64], tolerance_ns: int) -> NDArray[np.int64]:
+    """How far from each time (N,) a frame may lie: not in another piece of the clock, where it may be hours away."""
+    tolerances = np.full(local_ns.shape, tolerance_ns, dtype=np.int64)
+    for piece in clock.pieces:
+        room = np.where(local_ns < piece.from_ns, piece.from_ns - 1 - local_ns, local_ns - piece.from_ns)
+        tolerances = np.minimum(tolerances, room)
+    return tolerances
 
 
 def _earlier(context: StageContext) -> list[FrameStore]:

@@ -6,7 +6,7 @@ from hypothesis import strategies as st
 
 from wibam_core.errors import InputError
 from wibam_core.formats.clocks import ClockError, Clocks, read_clocks, write_clocks
-from wibam_core.scene import ClockMap
+from wibam_core.scene import ClockMap, ClockPiece
 
 clock_maps = st.builds(
     ClockMap,
@@ -29,6 +29,18 @@ def test_errors_are_kept_for_the_cameras_that_have_them(tmp_path):
     path = tmp_path / "clocks.json"
     write_clocks(path, Clocks({"a": ClockMap(), "b": ClockMap(5, 1e-6)}, {"b": ClockError(1e6, 2e-6)}))
     assert read_clocks(path).errors == {"b": ClockError(1e6, 2e-6)}
+
+
+def test_pieces_of_a_clock_are_kept_and_must_ascend(tmp_path):
+    path = tmp_path / "clocks.json"
+    clock = ClockMap(5, 1e-6, (ClockPiece(8 * 10**9, 60 * 10**9), ClockPiece(9 * 10**9, 61 * 10**9)))
+    write_clocks(path, Clocks({"a": clock}))
+    assert read_clocks(path)["a"] == clock
+    backwards = json.loads(path.read_text())
+    backwards["clocks"][0]["pieces"].reverse()
+    path.write_text(json.dumps(backwards))
+    with pytest.raises(InputError, match="ascend"):
+        read_clocks(path)
 
 
 @pytest.mark.parametrize(

@@ -27,7 +27,7 @@ from wibam_core.formats.clocks import Clocks
 from wibam_core.formats.framestore import FrameStore, FrameStoreWriter
 from wibam_core.progress import Progress, silent
 from wibam_core.road_users import RoadUserClass
-from wibam_core.scene import ClockMap
+from wibam_core.scene import ClockMap, ClockPiece
 from wibam_core.site import HomographyCalibration, Site, SiteCamera
 from wibam_core.stages import detect, frames, preflight
 from wibam_core.stages.base import StageContext
@@ -270,6 +270,21 @@ def test_a_camera_without_a_frame_at_the_common_instants_is_an_error(three: Run)
     assert "remove it" in caught.value.hint
     with pytest.raises(InputError):
         three.read(catalogue.FRAMES)
+
+
+def test_a_segment_that_lies_elsewhere_than_assumed_gives_no_frame_to_an_instant_between(three: Run) -> None:
+    """The last frames of b, from 2 s on, were recorded 1 s later than its stamps say: from 2 to 3 s it was off."""
+    folder = three.root.parent / "videos"
+    run = Run(three.root, {id_: record(folder / f"{id_}2.mp4", ClockMap(), 0, 4 * S) for id_ in "ab"})
+    run.preflight(min_overlap_s=1)
+    _, store = run.frames({"a": ClockMap(), "b": ClockMap(pieces=(ClockPiece(2 * S, S),))})
+    seen = {s.time_ns: s.local_times_ns["b"] for s in store.frame_sets if "b" in s.local_times_ns}
+    for instant_ns, local_ns in seen.items():
+        off_ns = 0 if local_ns < 2 * S else S
+        assert abs(local_ns + off_ns - instant_ns) <= STEP_NS
+        assert not 2 * S + STEP_NS < instant_ns < 3 * S - STEP_NS
+    assert min(seen) < 2 * S
+    assert max(seen) > 3 * S
 
 
 def test_preflight_refuses_labels_that_cannot_be_used(three: Run, tmp_path: Path) -> None:
