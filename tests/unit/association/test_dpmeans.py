@@ -51,6 +51,14 @@ def test_a_flat_ray_reaches_farther_along_itself_alone() -> None:
     assert len(set(in_one_scene(np.array([[0.0, 0.0], [0.0, 6.0]]), groups, flat, 3.5))) == 2
 
 
+def test_a_sure_point_draws_the_mean_to_itself() -> None:
+    """The mean of the first two lies at 2.7 m rather than half way, so that the third is within reach of it."""
+    points, groups = np.array([[0.0, 0.0], [3.0, 0.0], [6.0, 0.0]]), np.arange(3)
+    wide_and_two_sure = usual(3) * np.array([9.0, 1.0, 1.0])[:, None, None]
+    assert in_one_scene(points, groups, wide_and_two_sure, 3.5).tolist() == [0, 0, 0]
+    assert len(set(in_one_scene(points, groups, usual(3), 3.5))) == 2
+
+
 def test_nothing_gives_nothing() -> None:
     assert cluster([], []).tolist() == []
 

@@ -163,6 +163,29 @@ def test_the_baseline_is_placed_as_the_finetuned_network_is(job: Job, decode: st
         assert name in metrics.paper_compat and name in metrics.self_consistency
 
 
+def test_the_baseline_is_the_network_before_fine_tuning(job: Job, monkeypatch: pytest.MonkeyPatch) -> None:
+    def better_once_tuned(network: Any, frames: Iterable[Frame], **options: Any) -> Iterator[Vehicles3D]:
+        for found in oracle(network, frames, **options):
+            off_m = 0.0 if network.card.method == "lifted" else 0.5
+            yield replace(found, boxes=found.boxes + [off_m, 0, 0, 0, 0, 0, 0])
+
+    monkeypatch.setattr(OnnxNetwork, "predict_each", each(better_once_tuned))
+    job.finetuned(method="lifted")
+    _, metrics = job.evaluate()
+    assert metrics.baseline is not None and metrics.finetuned is not None
+    assert metrics.baseline.ate_m.mean == pytest.approx(0.5)
+    assert metrics.finetuned.ate_m.mean == pytest.approx(0.0, abs=1e-6)
+
+
+def test_significance_compares_boxes_that_are_placed_alike(job: Job) -> None:
+    """Both networks say the same; boxes of the baseline that are placed by depth are longer."""
+    _, metrics = job.evaluate()
+    assert metrics.baseline_depth is not None and metrics.baseline_depth.ase.mean > 0.05
+    assert metrics.significance is not None
+    for name in ("bev_iou", "iou_3d", "ate_m", "ase"):
+        assert metrics.significance[name].difference == pytest.approx(0.0, abs=1e-9), name
+
+
 def test_the_baseline_sees_images_as_wide_as_the_fine_tuned_network(job: Job, monkeypatch: pytest.MonkeyPatch) -> None:
     seen = []
 
@@ -266,3 +289,17 @@ def test_tracks_are_at_the_instants_although_frames_are_not(job: Job) -> None:
     want = np.array([truth(t)[0, 0] for t in INSTANTS[::2]])
     np.testing.assert_allclose(driving.boxes[3:, 0], want[3:], atol=0.15)
     assert driving.velocities_mps[-1] == pytest.approx([12, 0], abs=0.3)
+
+
+def test_the_tracker_is_told_when_each_frame_was_exposed(job: Job, monkeypatch: pytest.MonkeyPatch) -> None:
+    """With one camera that is late by 35 ms, a vehicle at 12 m/s is 0.42 m farther than where it is tracked."""
+
+    def of_the_late_camera(network: Any, frames: Iterable[Frame], **options: Any) -> Iterator[Vehicles3D]:
+        for found in oracle(network, frames, **options):
+            yield found if found.camera_id == "cam1" else found.where(np.zeros(2, bool))
+
+    monkeypatch.setattr(OnnxNetwork, "predict_each", each(of_the_late_camera))
+    _, tracks = job.track(rate_hz=6.25)
+    (driving,) = (t for t in tracks if np.hypot(*t.velocities_mps[-1]) > 5)
+    want = np.array([truth(time_ns)[0, 0] for time_ns in driving.times_ns.tolist()])
+    assert np.abs(driving.boxes[5:, 0] - want[5:]).max() < 0.1

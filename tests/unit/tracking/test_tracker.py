@@ -202,3 +202,15 @@ def test_detections_with_an_unknown_place_and_chains_of_false_boxes_make_no_trac
         uncertain.step(time, [Vehicles3D.of(time, box, sd=sd, camera_id="a")])
         rare.step(time, [Vehicles3D.of(time, box if k % 5 == 0 else box[:0], camera_id="a")])
     assert len(uncertain.tracks()) == len(rare.tracks()) == tracks
+
+
+def test_a_second_box_of_a_tracked_vehicle_begins_no_track() -> None:
+    """Two cameras disagree by more than what is averaged; their boxes overlap by a third to a half."""
+    tracker = Tracker(TrackConfig(fusion_radius_m=1.0))
+    for number in range(12):
+        x_m = 1.6 * number
+        boxes = [np.array([[x_m + off_m, 0.0, 0.75, 4.5, 1.8, 1.5, 0.0]]) for off_m in (0.0, 1.9)]
+        seen = [Vehicles3D.of(0, box, scores=np.array([0.9]), camera_id=str(k)) for k, box in enumerate(boxes)]
+        tracker.step(number * PERIOD_NS, seen)
+    (track,) = tracker.tracks()
+    assert len(track.times_ns) == 12

@@ -1,5 +1,6 @@
 """Fine-tuning: it learns, it resumes to the bit, and it says what went wrong."""
 
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
@@ -16,6 +17,7 @@ from wibam_core.networks.small.network import SmallMonocular
 from wibam_core.progress import silent
 from wibam_core.training.dataset import site_views
 from wibam_core.training.finetune import FinetuneResult, SiteDataset, finetune
+from wibam_core.training.views import LabelledView
 
 TINY = TrunkShape(channels=(8, 8, 16, 16, 16), blocks=(0, 0, 0, 0), neck=8)
 
@@ -148,3 +150,43 @@ def test_trains_without_validation_frames(site: TinySite, tmp_path: Path) -> Non
     assert result.epochs[0].validation == {}
     assert result.kept == "last"
     assert np.isfinite(result.epochs[0].train["total"])
+
+
+def test_the_best_weights_are_kept_where_validation_says_that_the_last_are_worse(
+    site: TinySite, tmp_path: Path
+) -> None:
+    """After the first epoch the network forgets all it learned about sizes, by the hand of this test."""
+    learning = network()
+    bias = learning.module.heads["size"].get_parameter("bias")
+    kept: dict[str, torch.Tensor] = {}
+
+    def forget(fraction: float, message: str = "", **figures: float) -> None:
+        if "validation_loss" in figures and not kept:
+            kept.update({name: value.clone() for name, value in learning.module.state_dict().items()})
+            with torch.no_grad():
+                bias.fill_(25.0)
+
+    result = finetune(learning, dataset_of(site), options(learning_rate=1e-6), forget, tmp_path)
+    assert (result.kept, result.kept_step) == ("best", 2)
+    for name, value in result.network.module.state_dict().items():
+        assert torch.equal(value, kept[name]), name
+
+
+def test_the_published_method_sees_every_image_as_the_camera_hangs(
+    site: TinySite, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Ours zooms some; the published loss compares with other cameras, whose geometry would not change with it."""
+    focal_lengths: set[float] = set()
+    maps = SmallMonocular.maps
+
+    def watched(self: SmallMonocular, views: Sequence[LabelledView], share: slice) -> dict[str, torch.Tensor]:
+        focal_lengths.update(round(float(view.camera.K[0, 0]), 6) for view in views)
+        return maps(self, views, share)
+
+    monkeypatch.setattr(SmallMonocular, "maps", watched)
+    dataset = replace(dataset_of(site), validation=[])
+    assert len({float(camera.K[0, 0]) for camera in site.rig.values()}) == 1
+    finetune(network(), dataset, options(method="paper"), silent, tmp_path / "paper")
+    assert len(focal_lengths) == 1
+    finetune(network(), dataset, options(method="lifted"), silent, tmp_path / "lifted")
+    assert len(focal_lengths) > 3
