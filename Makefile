@@ -47,6 +47,9 @@ $(READERS)/.ready: tests/readers/requirements.txt
 test-readers: $(READERS)/.ready ## let other projects' programs read what is exported, in an environment of their own
 	$(READERS)/bin/python -m pytest -p no:cacheprovider tests/readers
 
+mutants: $(READY) ## write mistakes into a copy of the core and see which the tests notice (about 15 minutes)
+	$(BIN)/python -m benchmarks.mutants --random 40
+
 fix: $(READY) ## format the code and mend what the linter can mend
 	$(BIN)/ruff check --fix .
 	$(BIN)/ruff format .
