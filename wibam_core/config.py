@@ -38,7 +38,12 @@ class SyncConfig(StageConfig):
         description="a region that clearly shows a state in a smaller share of its frames holds no signal head; lamps"
         " of LEDs that flicker against the shutter may need less",
     )
-    max_offset_s: float = Field(30.0, gt=0, description="largest clock offset to look for")
+    max_offset_s: float | None = Field(
+        None,
+        gt=0,
+        description="largest clock offset that is expected; of offsets that explain the recordings equally well, those"
+        " within it are preferred. Every offset is searched under which recordings overlap, whatever this says",
+    )
 
 
 class CalibrateConfig(StageConfig):

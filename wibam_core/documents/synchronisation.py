@@ -48,10 +48,17 @@ class ChangeGroup(Document):
 
 
 class Alternative(Document):
-    """Another clock offset under which nearly as many changes meet."""
+    """Another clock under which a good share of the changes meets."""
 
     offset_s: float
     matched: int
+    could: float = 0.0
+    """How many changes could meet under it, mean of both sides: both recordings cover their time."""
+    score: float = 0.0
+    """The share of those that could meet and do."""
+    drift_ppm: float = 0.0
+    excluded: bool = False
+    """It explains the changes far worse than the one that was taken."""
 
 
 class CameraClock(Document):
@@ -65,11 +72,16 @@ class CameraClock(Document):
     """How many changes the camera saw."""
     matched: int
     """How many of them other cameras saw, too."""
+    could: float | None = None
+    """How many could have met another camera's, mean of both sides; null for the reference."""
+    score: float | None = None
+    """The share of those that could meet and do."""
     rms_before_s: float | None
     rms_after_s: float | None
     ambiguous: bool
-    """Another offset explains the changes as well."""
+    """Another offset explains what is seen as well."""
     alternatives: list[Alternative]
+    """Other offsets that were considered, the likeliest first."""
 
 
 class Synchronisation(Document):

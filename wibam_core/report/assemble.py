@@ -141,6 +141,8 @@ def _synchronisation(changes: Changes) -> Synchronisation:
             clock.matched,
             clock.rms_before_s,
             clock.rms_after_s,
+            clock.score,
+            clock.ambiguous,
         )
         for camera_id, clock in changes.cameras.items()
     )

@@ -40,7 +40,8 @@ class ClockRow:
     Attributes:
         offset_s: at the start of the camera's own clock, with its standard deviation ``offset_sd_s``.
         drift_ppm: with its standard deviation ``drift_sd_ppm``.
-        changes: light changes that it shares with another camera.
+        changes: light changes that it shares with another camera. score: of those that it could share, how many.
+        ambiguous: another offset explains what is seen as well.
         rms_before_s, rms_after_s: root mean square delay to the reference.
     """
 
@@ -52,6 +53,8 @@ class ClockRow:
     changes: int
     rms_before_s: float | None
     rms_after_s: float | None
+    score: float | None = None
+    ambiguous: bool = False
 
 
 @dataclass(frozen=True)

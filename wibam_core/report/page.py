@@ -254,9 +254,11 @@ def _clocks(data: ReportData) -> tuple[tuple[str, ...], ...]:
     return tuple(
         (
             row.camera_id,
-            signed(row.offset_s, 4) + ("" if row.offset_sd_s is None else f" ± {row.offset_sd_s:.4f}"),
+            signed(row.offset_s, 4)
+            + ("" if row.offset_sd_s is None else f" ± {row.offset_sd_s:.4f}")
+            + (", ambiguous" if row.ambiguous else ""),
             signed(row.drift_ppm, 1) + ("" if row.drift_sd_ppm is None else f" ± {row.drift_sd_ppm:.1f}"),
-            str(row.changes),
+            str(row.changes) + ("" if row.score is None else f" ({row.score:.0%} of possible)"),
             number(None if row.rms_before_s is None else 1e3 * row.rms_before_s, 1),
             number(None if row.rms_after_s is None else 1e3 * row.rms_after_s, 1),
         )

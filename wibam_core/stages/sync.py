@@ -19,7 +19,7 @@ from wibam_core.scene import ClockMap, SignalChange
 from wibam_core.site import SiteCamera
 from wibam_core.stages.base import StageContext, Summary
 from wibam_core.sync.changes import detect_changes
-from wibam_core.sync.document import ambiguities, sync_document
+from wibam_core.sync.document import ambiguities, doubts, sync_document
 from wibam_core.sync.offsets import estimate_clocks
 from wibam_core.video.decode import decode
 
@@ -33,7 +33,8 @@ def run(context: StageContext, config: SyncConfig) -> Summary:
     """Write `CLOCKS` and `CHANGES`.
 
     Raises:
-        NoSignalChange: naming a camera without a signal region, without a change in view, or without one in common.
+        NoSignalChange: naming a camera without a signal region, without a change in view, without one in common, or
+            whose changes mostly meet none under any offset.
         MissingCamera: if a camera has no recording.
     """
     if config.method == "none":
@@ -46,11 +47,13 @@ def run(context: StageContext, config: SyncConfig) -> Summary:
     confident = {
         camera_id: [c for c in seen if c.confidence >= config.min_confidence] for camera_id, seen in changes.items()
     }
-    result = estimate_clocks(confident, context.site.camera_ids[0], config.max_offset_s)
+    spans_s = {c: (info.first_ns / 1e9, info.last_ns / 1e9) for c, info in context.read(PROBE).cameras.items()}
+    result = estimate_clocks(confident, context.site.camera_ids[0], config.max_offset_s, spans_s)
     document = sync_document(changes, result)
+    cautions = [*ambiguities(document), *doubts(document, config.max_offset_s)]
     context.write(CLOCKS, Clocks(result.clocks, result.errors))
     context.write(CHANGES, document)
-    context.warn(*ambiguities(document))
+    context.warn(*cautions)
     cameras = {camera_id: clock.model_dump() for camera_id, clock in document.cameras.items()}
     return {"method": "signals", "matched_changes": len(result.groups), "cameras": cameras}
 

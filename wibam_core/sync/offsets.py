@@ -21,10 +21,10 @@ from wibam_core.sync.matching import Alignment, ChangeGroup, match_changes
 
 Array = NDArray[np.float64]
 
-#: Prior standard deviation of a camera's drift against the reference.
+#: What is known of a camera's drift against the reference before: a t distribution of this scale (crystals) with few
+#: degrees of freedom, since frame rates that are not what they claim to be drift by a thousand.
 DRIFT_SD_PPM = 30.0
-#: Changes that span less time than this say nothing about drift; it is taken as 0.
-_MIN_DRIFT_SPAN_S = 60.0
+_DRIFT_FREEDOM = 2.0
 #: No change is timed better than this: lamps need time to light up, rows of a frame are exposed one by one.
 _SMALLEST_S = 0.002
 #: Residuals beyond this many standard deviations count less (a uniform error ends at 1.7).
@@ -51,6 +51,31 @@ class Observation:
     delay_before_s: float | None
     delay_after_s: float | None
     residual_s: float
+
+
+@dataclass(frozen=True)
+class Meeting:
+    """What the traffic says of two cameras' clocks: when the first shows ``first_s``, the second shows ``second_s``,
+    and from there the first runs faster by ``drift``.
+
+    Attributes:
+        first_id, second_id: the cameras.
+        first_s, second_s: one moment on either clock, at which the errors of offset and drift are independent.
+        drift: ``d(first) = (1 + drift) d(second)``.
+        sd_s, drift_sd: standard deviations of the moment and of the drift.
+    """
+
+    first_id: str
+    second_id: str
+    first_s: float
+    second_s: float
+    drift: float
+    sd_s: float
+    drift_sd: float
+
+    def terms(self) -> tuple[tuple[float, float], tuple[float, float]]:
+        """(s on the second clock since the moment, sd s): of the moment, and of how far clocks part in 100 s."""
+        return (0.0, self.sd_s), (100.0, 100.0 * self.drift_sd)
 
 
 @dataclass(frozen=True, eq=False)
@@ -88,107 +113,177 @@ class SyncResult:
 
 @dataclass(frozen=True, eq=False)
 class _System:
-    """Linear model of all observations (m): time on the reference clock, relative to the group's rough time, is
-    ``rough + design @ x`` ± ``half``; x is (offset s at ``centre_s``, drift ppm) per camera but the reference."""
+    """Linear model of all light changes (m) and of what the traffic says (n). A change's time on the reference clock,
+    relative to the group's rough time, is ``rough + design @ x`` ± ``half``; ``between @ x`` is ``between_at_s`` ±
+    ``between_sd_s``. x is (offset s at ``centre_s``, drift ppm) per camera but the reference, both against the rough
+    clocks, whose drifts are ``drift_ppm``."""
 
     group: NDArray[np.int64]
     rough: Array
     half: Array
     design: Array
-    prior_sd: Array
+    drift_ppm: Array
     centre_s: Array
     groups: int
+    between: Array
+    between_at_s: Array
+    between_sd_s: Array
 
 
 def estimate_clocks(
-    changes: Mapping[str, Sequence[SignalChange]], reference_id: str, max_offset_s: float = 30.0
+    changes: Mapping[str, Sequence[SignalChange]],
+    reference_id: str,
+    max_offset_s: float | None = None,
+    spans_s: Mapping[str, tuple[float, float]] | None = None,
+    meetings: Sequence[Meeting] = (),
+    near_s: Mapping[str, float] | None = None,
 ) -> SyncResult:
     """Offset and drift of every camera against the reference.
 
     Args:
         changes: camera id -> its changes, for every camera.
         reference_id: the camera whose clock is kept.
-        max_offset_s: largest offset that is looked for.
+        max_offset_s: of offsets that explain the changes equally well, smaller ones than this are preferred.
+        spans_s: camera id -> first and last time of its recording, on its own clock.
+        meetings: what the traffic says of two cameras' clocks.
+        near_s: camera id -> an offset found from the traffic, which decides between equally good ones.
 
     Raises:
         NoSignalChange: naming a camera that saw no change, or none that another camera saw.
     """
-    groups, alignments = match_changes(changes, reference_id, max_offset_s)
-    others = list(alignments)
+    groups, alignments = match_changes(changes, reference_id, max_offset_s, spans_s, near_s)
+    rough = {c: (one.taken.offset_s, one.taken.drift) for c, one in alignments.items()}
+    return solve_clocks(reference_id, groups, rough, alignments, meetings)
+
+
+def solve_clocks(
+    reference_id: str,
+    groups: Sequence[ChangeGroup],
+    rough: Mapping[str, tuple[float, float]],
+    alignments: Mapping[str, Alignment],
+    meetings: Sequence[Meeting] = (),
+) -> SyncResult:
+    """All clocks at once from what was matched.
+
+    Args:
+        reference_id: the camera whose clock is kept.
+        groups: light changes that several cameras saw; may be none.
+        rough: camera id -> offset (s) and drift to start from, for every camera but the reference.
+        alignments: how the changes were matched, for the result.
+        meetings: what the traffic says of two cameras' clocks.
+    """
+    others = list(rough)
     if not others:
         return SyncResult(reference_id, {reference_id: ClockMap()}, {reference_id: ClockError(0, 0)}, (), {}, ())
-    system = _system(groups, others, {c: alignments[c].offset_s for c in others})
+    system = _system(groups, rough, meetings)
     x, sd = _least_squares(system)
     clocks, errors = {reference_id: ClockMap()}, {reference_id: ClockError(0.0, 0.0)}
     for k, camera_id in enumerate(others):
-        known = system.prior_sd[k] > 1.0
-        drift = float(x[2 * k + 1]) * 1e-6 if known else 0.0
-        offset_s = alignments[camera_id].offset_s + float(x[2 * k]) - drift * system.centre_s[k]
-        clocks[camera_id] = ClockMap(round(offset_s * 1e9), drift)
-        drift_sd = float(sd[2 * k + 1]) * 1e-6 if known else DRIFT_SD_PPM * 1e-6
-        errors[camera_id] = ClockError(float(sd[2 * k]) * 1e9, drift_sd)
+        offset_s, drift = rough[camera_id]
+        turned = float(x[2 * k + 1]) * 1e-6
+        offset_s += float(x[2 * k]) - turned * system.centre_s[k]
+        clocks[camera_id] = ClockMap(round(offset_s * 1e9), drift + turned)
+        errors[camera_id] = ClockError(float(sd[2 * k]) * 1e9, float(sd[2 * k + 1]) * 1e-6)
     timed = tuple(_retimed(group, clocks) for group in groups)
     return SyncResult(reference_id, clocks, errors, timed, alignments, _observe(timed, clocks, reference_id))
 
 
-def _system(groups: Sequence[ChangeGroup], others: Sequence[str], offsets_s: Mapping[str, float]) -> _System:
+def _system(
+    groups: Sequence[ChangeGroup], rough: Mapping[str, tuple[float, float]], meetings: Sequence[Meeting]
+) -> _System:
+    others = list(rough)
     column = {camera_id: k for k, camera_id in enumerate(others)}
     own_times: list[list[float]] = [[] for _ in others]
     for group in groups:
         for camera_id, change in group.seen.items():
             if camera_id in column:
                 own_times[column[camera_id]].append(change.time_ns / 1e9)
-    centre_s = np.array([float(np.mean(times)) for times in own_times])
-    spans = np.array([float(np.ptp(times)) for times in own_times])
-    index, rough, half, rows = [], [], [], []
+    for meeting in meetings:
+        for camera_id, at_s in ((meeting.first_id, meeting.first_s), (meeting.second_id, meeting.second_s)):
+            if camera_id in column:
+                own_times[column[camera_id]].append(at_s)
+    centre_s = np.array([float(np.mean(times)) if times else 0.0 for times in own_times])
+
+    def seen(camera_id: str, local_s: float) -> tuple[float, Array]:
+        """The rough reference time, and by how much the unknowns move it."""
+        row = np.zeros(2 * len(others))
+        if camera_id not in column:
+            return local_s, row
+        offset_s, drift = rough[camera_id]
+        k = column[camera_id]
+        row[2 * k : 2 * k + 2] = 1.0, (local_s - centre_s[k]) * 1e-6
+        return local_s + offset_s + drift * local_s, row
+
+    index, at, half, rows = [], [], [], []
     for g, group in enumerate(groups):
         for camera_id, change in group.seen.items():
-            row = np.zeros(2 * len(others))
-            local_s = change.time_ns / 1e9
-            if camera_id in column:
-                k = column[camera_id]
-                row[2 * k : 2 * k + 2] = 1.0, (local_s - centre_s[k]) * 1e-6
+            rough_s, row = seen(camera_id, change.time_ns / 1e9)
             index.append(g)
-            rough.append(local_s + offsets_s.get(camera_id, 0.0) - group.time_s)
+            at.append(rough_s - group.time_s)
             half.append(max(change.half_interval_ns / 1e9, _SMALLEST_S))
             rows.append(row)
+    between, between_at, between_sd = [], [], []
+    for meeting in meetings:
+        for since_s, sd_s in meeting.terms():
+            first_s, first = seen(meeting.first_id, meeting.first_s + since_s * (1 + meeting.drift))
+            second_s, second = seen(meeting.second_id, meeting.second_s + since_s)
+            origin_first, base_first = seen(meeting.first_id, meeting.first_s)
+            origin_second, base_second = seen(meeting.second_id, meeting.second_s)
+            if since_s:
+                first, second = first - base_first, second - base_second
+                first_s, second_s = first_s - origin_first, second_s - origin_second
+            between.append(first - second)
+            between_at.append(second_s - first_s)
+            between_sd.append(sd_s)
     return _System(
         group=np.array(index, dtype=np.int64),
-        rough=np.array(rough),
+        rough=np.array(at),
         half=np.array(half),
-        design=np.array(rows),
-        prior_sd=np.where(spans >= _MIN_DRIFT_SPAN_S, DRIFT_SD_PPM, 1e-3),
+        design=np.array(rows).reshape(-1, 2 * len(others)),
+        drift_ppm=np.array([1e6 * drift for _, drift in rough.values()]),
         centre_s=centre_s,
         groups=len(groups),
+        between=np.array(between).reshape(-1, 2 * len(others)),
+        between_at_s=np.array(between_at),
+        between_sd_s=np.array(between_sd),
     )
 
 
 def _least_squares(system: _System) -> tuple[Array, Array]:
-    """Huber-weighted least squares over all observations, with the drifts' Gaussian prior.
+    """Huber-weighted least squares over all observations, with the drifts' prior, a t distribution.
 
     Returns:
         x (2(C − 1),) and its standard deviations.
     """
-    unknowns = system.design.shape[1]
+    unknowns = 2 * len(system.drift_ppm)
     m = len(system.group)
     picks = np.zeros((m, system.groups))
     picks[np.arange(m), system.group] = 1.0
     rows = np.concatenate([-system.design, picks], axis=1)
-    prior = np.zeros((unknowns // 2, rows.shape[1]))
-    prior[np.arange(unknowns // 2), 2 * np.arange(unknowns // 2) + 1] = 1.0 / system.prior_sd
     sigma = system.half / np.sqrt(3.0)
-    robust = np.ones(m)
-    for _ in range(10):
+    pairs = np.concatenate([system.between, np.zeros((len(system.between), system.groups))], axis=1)
+    robust, pairs_robust = np.ones(m), np.ones(len(pairs))
+    prior_sd = np.maximum(DRIFT_SD_PPM, np.abs(system.drift_ppm))
+    for _ in range(15):
         weight = np.sqrt(robust) / sigma
-        A = np.concatenate([rows * weight[:, None], prior])
-        b = np.concatenate([system.rough * weight, np.zeros(len(prior))])
+        pairs_weight = np.sqrt(pairs_robust) / system.between_sd_s
+        prior = np.zeros((unknowns // 2, rows.shape[1]))
+        prior[np.arange(unknowns // 2), 2 * np.arange(unknowns // 2) + 1] = 1.0 / prior_sd
+        A = np.concatenate([rows * weight[:, None], pairs * pairs_weight[:, None], prior])
+        b = np.concatenate(
+            [system.rough * weight, system.between_at_s * pairs_weight, -system.drift_ppm / prior_sd],
+        )
         solution = np.linalg.lstsq(A, b, rcond=None)[0]
         error = np.abs(rows @ solution - system.rough) / sigma
         robust = np.minimum(1.0, _HUBER / np.maximum(error, 1e-12))
+        pairs_error = np.abs(pairs @ solution - system.between_at_s) / system.between_sd_s
+        pairs_robust = np.minimum(1.0, _HUBER / np.maximum(pairs_error, 1e-12))
+        drift_ppm = system.drift_ppm + solution[1:unknowns:2]
+        prior_sd = DRIFT_SD_PPM * np.sqrt((_DRIFT_FREEDOM + (drift_ppm / DRIFT_SD_PPM) ** 2) / (_DRIFT_FREEDOM + 1))
     covariance = np.linalg.pinv(A.T @ A)[:unknowns, :unknowns]
-    freedom = max(m - system.groups - unknowns, 1)
-    scatter = max(1.0, float((robust * error**2).sum()) / freedom)
-    return solution[:unknowns], np.sqrt(np.diag(covariance) * scatter)
+    freedom = max(m - system.groups + len(pairs) - unknowns, 1)
+    squares = float((robust * error**2).sum() + (pairs_robust * pairs_error**2).sum())
+    return solution[:unknowns], np.sqrt(np.diag(covariance) * max(1.0, squares / freedom))
 
 
 def _retimed(group: ChangeGroup, clocks: Mapping[str, ClockMap]) -> ChangeGroup:
