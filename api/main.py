@@ -11,15 +11,17 @@ from typing import Any
 from fastapi import FastAPI
 from fastapi.openapi.utils import get_openapi
 from starlette.concurrency import run_in_threadpool
-from starlette.responses import HTMLResponse, RedirectResponse
+from starlette.responses import HTMLResponse
 
 from api.docs_page import DOCS_PAGE
 from api.housekeeping import Housekeeper
 from api.problems import Problem, add_handlers
-from api.routes import exports, jobs, results, sites, system, uploads
+from api.routes import exports, jobs, results, scene, sites, system, uploads
 from api.security import Gate
 from api.services import Services
+from api.sessions import SESSION_COOKIE
 from api.tus import TusHeaders
+from api.web.pages import add_pages
 from wibam_core import __version__
 from wibam_core.adapters.ownership import claim_folder
 from wibam_core.adapters.settings import ServiceSettings
@@ -36,8 +38,9 @@ calibration, without hand labels; get 7DoF tracks and the conflicts between road
 4. `GET /v1/jobs/{id}/metrics`, `/model`, `/tracks`, `/conflicts`, `/report`: the results;
    `/exports/{format}` has them in formats of others.
 
-Everything under `/v1` needs `Authorization: Bearer TOKEN`. Errors are `application/problem+json` (RFC 9457) with a
-stable `code`, a sentence and a `hint`.
+Everything under `/v1` needs `Authorization: Bearer TOKEN`; the pages, at `/`, sign in with it once and then send a
+cookie in its place, and the header `X-Wibam-Page` with everything that changes something. Errors are
+`application/problem+json` (RFC 9457) with a stable `code`, a sentence and a `hint`.
 """
 
 
@@ -74,14 +77,15 @@ def create_app(settings: ServiceSettings) -> FastAPI:
         uploads.router,
         jobs.router,
         results.router,
+        scene.router,
         exports.router,
         results.public_router,
         system.options_router,
         system.router,
     ):
         app.include_router(router)
-    app.add_api_route("/", lambda: RedirectResponse("/docs"), include_in_schema=False)
     app.add_api_route("/docs", lambda: HTMLResponse(DOCS_PAGE), include_in_schema=False)
+    add_pages(app)
     app.openapi = lambda: _openapi(app)  # type: ignore[method-assign]
     app.add_middleware(Gate, token_sha256=settings.token_sha256)
     app.add_middleware(TusHeaders)
@@ -117,12 +121,15 @@ def _openapi(app: FastAPI) -> dict[str, Any]:
         components["schemas"]["Problem"] = Problem.model_json_schema()
         for unused in ("HTTPValidationError", "ValidationError"):
             components["schemas"].pop(unused, None)
-        components["securitySchemes"] = {"token": {"type": "http", "scheme": "bearer"}}
+        components["securitySchemes"] = {
+            "token": {"type": "http", "scheme": "bearer"},
+            "session": {"type": "apiKey", "in": "cookie", "name": SESSION_COOKIE},
+        }
         for path, operations in document["paths"].items():
             for operation in operations.values():
                 _with_problems(operation)
                 if path.startswith("/v1/"):
-                    operation["security"] = [{"token": []}]
+                    operation["security"] = [{"token": []}, {"session": []}]
         app.openapi_schema = document
     return app.openapi_schema
 

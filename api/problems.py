@@ -24,6 +24,7 @@ _log = logging.getLogger(__name__)
 #: Status by `WibamError.code`; other `InputError`s are 422, everything else is 500.
 STATUS: Mapping[str, int] = {
     "unauthorised": 401,
+    "cross_site": 403,
     "not_found": 404,
     "upload_stalled": 408,
     "conflict": 409,

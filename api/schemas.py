@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from datetime import UTC, datetime
-from typing import Literal
+from typing import Annotated, Literal
 
 from pydantic import BaseModel, ConfigDict, Field, JsonValue
 
@@ -74,16 +74,29 @@ class RecordingOut(BaseModel):
         )
 
 
+JobName = Annotated[str, Field(max_length=200, pattern=r"^[^\x00-\x1f\x7f]*$")]
+
+
 class JobIn(BaseModel):
     """A job to create."""
 
     model_config = ConfigDict(extra="forbid")
+
+    name: JobName = Field("", description="what you call it", examples=["Monday, second try"])
 
     options: dict[str, JsonValue] = Field(
         {},
         description="options by stage; what is left out has its default (`GET /v1/options`)",
         examples=[{"finetune": {"steps": 200}, "sync": {"method": "none"}}],
     )
+
+
+class JobChangeIn(BaseModel):
+    """What of a job can be changed: what it is called."""
+
+    model_config = ConfigDict(extra="forbid")
+
+    name: JobName
 
 
 class RestartIn(BaseModel):
@@ -131,6 +144,7 @@ class StageOut(BaseModel):
 
     name: str = Field(examples=["sync"])
     title: str = Field(examples=["Synchronise the cameras"])
+    requires: list[str] = Field(description="stages that it waits for")
     state: StageState
     fraction: float = Field(ge=0, le=1)
     message: str
@@ -150,6 +164,7 @@ class StageOut(BaseModel):
         return cls(
             name=stage.name,
             title=STAGES[stage.name].title if stage.name in STAGES else stage.name,
+            requires=list(stage.requires),
             state=stage.state,
             fraction=stage.fraction,
             message=stage.message,
@@ -170,6 +185,8 @@ class JobOut(BaseModel):
 
     id: str = Field(examples=["job_5e4d3c2b1a098765"])
     site_id: str
+    site_name: str = Field(description="as it was when the job was created")
+    name: str = Field(description="what its user calls it; may be empty")
     state: JobState
     is_terminal: bool = Field(description="nothing happens any more unless the job is restarted")
     fraction: float = Field(ge=0, le=1, description="done, weighted by how long stages usually take")
@@ -188,6 +205,8 @@ class JobOut(BaseModel):
         return cls(
             id=job.id,
             site_id=job.site_id,
+            site_name=job.site.name,
+            name=job.name,
             state=job.state,
             is_terminal=job.state.is_terminal,
             fraction=job_fraction(job, typical_s),
@@ -259,6 +278,21 @@ class ReportLinkOut(BaseModel):
     """A link that opens the report in a browser without a token."""
 
     url: str = Field(examples=["/reports/job_5e4d3c2b1a098765?expires=1700000000&signature=..."])
+    expires_at: datetime
+
+
+class ShareLinkIn(BaseModel):
+    """A link to a job to make."""
+
+    model_config = ConfigDict(extra="forbid")
+
+    lifetime_h: float = Field(168.0, gt=0, le=24 * 366, description="how long it works")
+
+
+class ShareLinkOut(BaseModel):
+    """A link that lets a browser read a job and its results without a token, and change nothing."""
+
+    url: str = Field(examples=["/share/job_5e4d3c2b1a098765?key=..."])
     expires_at: datetime
 
 

@@ -13,15 +13,27 @@ from starlette.exceptions import HTTPException
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
 from api.problems import problem
+from api.sessions import PAGE_HEADER, Passes, parse_cookies
 from wibam_core.adapters.settings import token_digest
 from wibam_core.errors import InputError, NotFound, TooLarge, Unauthorised, WibamError
 
 _PROTECTED = "/v1/"
 _UPLOADS = "/v1/uploads/"
+_JOBS = "/v1/jobs/"
+_SAFE = ("GET", "HEAD")
+
+
+class CrossSite(WibamError):
+    code = "cross_site"
+    default_hint = "Send the token instead: Authorization: Bearer TOKEN."
 
 
 class Gate:
-    """ASGI middleware: everything under ``/v1/`` needs the token; bodies other than uploads are bounded.
+    """ASGI middleware: everything under ``/v1/`` needs the token, or a browser's pass in its place; bodies other than
+    uploads are bounded.
+
+    With a session (`api.sessions`) a browser may do everything, but a change only from our own pages. With a link to a
+    job it may read that job.
 
     Args:
         app: what lies behind.
@@ -32,6 +44,7 @@ class Gate:
     def __init__(self, app: ASGIApp, token_sha256: str, max_body_bytes: int = 4_000_000) -> None:
         self._app = app
         self._token_sha256 = token_sha256
+        self._passes = Passes(token_sha256)
         self._max_body_bytes = max_body_bytes
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
@@ -39,8 +52,8 @@ class Gate:
             await self._app(scope, receive, send)
             return
         headers = Headers(scope=scope)
-        if self._needs_token(scope) and not self._has_token(headers):
-            await problem(Unauthorised("the API token is missing or wrong"))(scope, receive, send)
+        if self._needs_token(scope) and (refusal := self._refusal(scope, headers)) is not None:
+            await problem(refusal)(scope, receive, send)
             return
         if (senseless := _nul(scope)) is not None:
             await problem(senseless)(scope, receive, send)
@@ -56,6 +69,20 @@ class Gate:
 
     def _needs_token(self, scope: Scope) -> bool:
         return scope["path"].startswith(_PROTECTED) and scope["method"] != "OPTIONS"
+
+    def _refusal(self, scope: Scope, headers: Headers) -> WibamError | None:
+        """Why somebody may not come in; None where they may."""
+        if "authorization" in headers:
+            return None if self._has_token(headers) else Unauthorised("the API token is missing or wrong")
+        cookies = parse_cookies(headers.get("cookie", ""))
+        reads = scope["method"] in _SAFE
+        if self._passes.is_session(cookies):
+            own = reads or PAGE_HEADER in headers
+            return None if own else CrossSite(f"a browser's change came without the header {PAGE_HEADER}")
+        job_id = scope["path"].removeprefix(_JOBS).partition("/")[0] if scope["path"].startswith(_JOBS) else ""
+        if job_id and reads and self._passes.may_read(job_id, cookies):
+            return None
+        return Unauthorised("the API token is missing or wrong")
 
     def _has_token(self, headers: Headers) -> bool:
         scheme, _, token = headers.get("authorization", "").partition(" ")

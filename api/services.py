@@ -7,6 +7,7 @@ from typing import Annotated
 
 from fastapi import Depends, Request
 
+from api.sessions import Passes
 from wibam_core.adapters.database import Database
 from wibam_core.adapters.files import DataFolder
 from wibam_core.adapters.job_store import JobStore
@@ -33,6 +34,7 @@ class Services:
     queue: JobQueue
     results: JobResults
     stages: StageStore
+    passes: Passes
 
     @classmethod
     def connect(cls, settings: ServiceSettings) -> Services:
@@ -53,6 +55,7 @@ class Services:
             queue=JobQueue(make_celery(settings.broker_url)),
             results=JobResults(folder.stages),
             stages=StageStore(folder.stages),
+            passes=Passes(settings.token_sha256),
         )
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import asyncio
 import time
 from collections.abc import AsyncIterator, Sequence
+from datetime import UTC, datetime
 from typing import Annotated
 
 from fastapi import APIRouter, Depends, Header, Query, Response
@@ -13,11 +14,22 @@ from starlette.concurrency import run_in_threadpool
 
 from api.parameters import ONLY_KNOWN_PARAMETERS
 from api.problems import documented
-from api.schemas import EventOut, JobIn, JobOut, LogOut, PlannedStageOut, RestartIn
+from api.schemas import (
+    EventOut,
+    JobChangeIn,
+    JobIn,
+    JobOut,
+    LogOut,
+    PlannedStageOut,
+    RestartIn,
+    ShareLinkIn,
+    ShareLinkOut,
+)
 from api.services import Services, ServicesDep
 from wibam_core.adapters.logs import read_log
 from wibam_core.adapters.planning import plan_stages
 from wibam_core.jobs.records import Job
+from wibam_core.jobs.states import JobState
 from wibam_core.stages.graph import PlannedStage, downstream
 
 router = APIRouter(prefix="/v1", tags=["jobs"], responses=documented(401))
@@ -44,7 +56,7 @@ def create(
     site = services.sites.site(site_id)
     files = services.sites.files(site_id)
     plan = plan_stages(site.site, body.options, files)
-    job, ready = services.jobs.create(site, body.options, files, plan, idempotency_key)
+    job, ready = services.jobs.create(site, body.options, files, plan, idempotency_key, body.name)
     services.queue.dispatch(ready)
     response.headers["Location"] = f"/v1/jobs/{job.id}"
     return _out(services, job)
@@ -62,15 +74,33 @@ def list_jobs(
     services: ServicesDep,
     site: Annotated[str | None, Query(description="of this site alone")] = None,
     limit: Annotated[int, Query(ge=1, le=1000)] = 100,
+    state: Annotated[list[JobState] | None, Query(description="in any of these states")] = None,
+    text: Annotated[str, Query(max_length=200, description="that the name or the id contains")] = "",
+    after: Annotated[str | None, Query(description="id of the last job of the page before")] = None,
 ) -> list[JobOut]:
     """The newest first."""
     typical, now = services.jobs.typical_seconds(), time.time()
-    return [JobOut.of(job, typical, now) for job in services.jobs.jobs(site, limit)]
+    found = services.jobs.jobs(site, limit, states=state or (), text=text, after=after)
+    return [JobOut.of(job, typical, now) for job in found]
 
 
 @router.get("/jobs/{job_id}", summary="Look at a job", responses=documented(404))
 def get(job_id: str, services: ServicesDep) -> JobOut:
     return _out(services, services.jobs.job(job_id))
+
+
+@router.patch("/jobs/{job_id}", summary="Rename a job", responses=documented(404, 422))
+def rename(job_id: str, body: JobChangeIn, services: ServicesDep) -> JobOut:
+    return _out(services, services.jobs.rename(job_id, body.name))
+
+
+@router.post("/jobs/{job_id}/share-link", summary="Share a job", responses=documented(404, 422))
+def share_link(job_id: str, body: ShareLinkIn, services: ServicesDep) -> ShareLinkOut:
+    """A link to the job's pages that works for a limited time, for reading alone."""
+    services.jobs.job(job_id)
+    key = services.passes.share(job_id, body.lifetime_h * 3600.0)
+    expires_at = datetime.fromtimestamp(time.time() + services.passes.remaining_s(key), UTC)
+    return ShareLinkOut(url=f"/share/{job_id}?key={key}", expires_at=expires_at)
 
 
 @router.post("/jobs/{job_id}/cancel", status_code=202, summary="Cancel a job", responses=documented(404))

@@ -6,7 +6,7 @@ import time
 from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from typing import Any
 
-from sqlalchemy import func, select
+from sqlalchemy import func, or_, select
 from sqlalchemy.orm import Session
 
 from wibam_core.adapters import records
@@ -52,6 +52,7 @@ class JobStore:
         files: Sequence[StoredFile],
         plan: Sequence[PlannedStage],
         idempotency_key: str | None = None,
+        name: str = "",
     ) -> tuple[Job, list[StageKey]]:
         """A new job, and the stages to dispatch; with a key that was used before, the job it made, and nothing.
 
@@ -78,6 +79,7 @@ class JobStore:
                 restarts=0,
                 last_event=0,
                 idempotency_key=idempotency_key,
+                name=records.plain_text(name),
             )
             session.add(row)
             session.flush()
@@ -96,13 +98,52 @@ class JobStore:
         with self._database.reading() as session:
             return job_record(session, job_row(session, job_id))
 
-    def jobs(self, site_id: str | None = None, limit: int = 100) -> list[Job]:
-        """Jobs, the newest first."""
+    def jobs(
+        self,
+        site_id: str | None = None,
+        limit: int = 100,
+        *,
+        states: Collection[JobState] = (),
+        text: str = "",
+        after: str | None = None,
+    ) -> list[Job]:
+        """Jobs, the newest first.
+
+        Args:
+            site_id: of this site alone.
+            limit: how many at most.
+            states: in one of these; none: in any.
+            text: that the name or the id contains, whatever the case of its letters.
+            after: only those that follow this job in the list.
+
+        Raises:
+            NotFound: there is no job ``after``.
+        """
         newest = select(JobRow).order_by(JobRow.created_at.desc(), JobRow.id).limit(limit)
         if site_id is not None:
             newest = newest.where(JobRow.site_id == site_id)
+        if states:
+            newest = newest.where(JobRow.state.in_([state.value for state in states]))
+        if text:
+            newest = newest.where(or_(JobRow.name.icontains(text, autoescape=True), JobRow.id.contains(text)))
         with self._database.reading() as session:
+            if after is not None:
+                last = job_row(session, after)
+                older = JobRow.created_at < last.created_at
+                newest = newest.where(or_(older, (JobRow.created_at == last.created_at) & (JobRow.id > last.id)))
             return job_records(session, session.scalars(newest).all())
+
+    def rename(self, job_id: str, name: str) -> Job:
+        """Call a job something.
+
+        Raises:
+            NotFound: there is no such job.
+        """
+        with self._database.writing() as session:
+            row = job_row(session, job_id, lock=True)
+            row.name = records.plain_text(name)
+            session.flush()
+            return job_record(session, row)
 
     def cancel(self, job_id: str) -> Job:
         """Ask a job to stop. A terminal job stays as it is.

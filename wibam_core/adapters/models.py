@@ -106,6 +106,7 @@ class JobRow(Base):
     restarts: Mapped[int]
     last_event: Mapped[int]
     idempotency_key: Mapped[str | None] = mapped_column(String(255))
+    name: Mapped[str] = mapped_column(String(200), server_default="")
 
 
 class JobFileRow(Base):

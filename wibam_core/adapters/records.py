@@ -108,6 +108,7 @@ def job(row: JobRow, files: Iterable[StoredFile], stages: Iterable[StageRow]) ->
         finished_at=row.finished_at,
         error=row.error,
         restarts=row.restarts,
+        name=row.name,
     )
 
 

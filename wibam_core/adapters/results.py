@@ -6,15 +6,17 @@ import csv
 import io
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
+from functools import lru_cache
 from pathlib import Path
 from typing import Any, TypeVar, get_origin
 
 from wibam_core.artifacts.access import ArtifactReader
 from wibam_core.artifacts.artifact import Artifact
-from wibam_core.artifacts.catalogue import made_by
+from wibam_core.artifacts.catalogue import FRAMES, made_by
 from wibam_core.documents.conflicts import ConflictRow, Conflicts
 from wibam_core.documents.manifest import FileFacts
 from wibam_core.errors import Conflict, NotFound
+from wibam_core.formats.framestore import FrameStore
 from wibam_core.jobs.records import Job
 from wibam_core.stages.store import StageStore
 
@@ -39,6 +41,8 @@ class JobResults:
 
     def __init__(self, stages: Path) -> None:
         self._store = StageStore(stages)
+        #: Published outputs never change, so that a store stays as it was opened.
+        self._open_frames = lru_cache(maxsize=8)(FrameStore)
 
     def files(self, job: Job) -> list[ResultFile]:
         """All files of all finished stages."""
@@ -95,6 +99,11 @@ class JobResults:
             Conflict: as `named` and `ArtifactReader.read` do.
         """
         return ArtifactReader({artifact.stage: self.file(job, artifact).path.parent}).read(artifact)
+
+    def frames(self, job: Job) -> FrameStore:
+        """The frames of a job's recordings. Raises as `named` does."""
+        index = self.named(job, FRAMES.stage, f"{FRAMES.file}/frames.parquet")
+        return self._open_frames(index.path.parent)
 
     def _files(self, stage: str, hash: str) -> dict[str, ResultFile]:
         """The files of a published stage by name; those that are no part of an artifact are nobody's business."""

@@ -5,7 +5,7 @@ from __future__ import annotations
 import shutil
 import time
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Annotated, Any, TypeVar
 
@@ -21,7 +21,7 @@ from wibam_core.cli.run import parse_options
 from wibam_core.cli.service import watch
 from wibam_core.cli.tables import RESULTS, print_tables
 from wibam_core.cli.upload import send_site
-from wibam_core.client import WibamClient
+from wibam_core.client import JobView, WibamClient
 from wibam_core.errors import Conflict
 from wibam_core.report.summary import summary
 from wibam_core.stages.runner import SiteFolder
@@ -40,6 +40,7 @@ def demo(
     seconds: Annotated[float, typer.Option(help="Length of the recordings.", min=20)] = 90.0,
     density: Annotated[float, typer.Option(help="Traffic; 1 is about 6 vehicles a minute and lane.")] = 1.2,
     option: Annotated[list[str] | None, typer.Option("--set", help="An option, e.g. finetune.steps=200.")] = None,
+    keep: Annotated[bool, typer.Option(help="Leave the service and its pages up at the end, until Ctrl-C.")] = False,
 ) -> None:
     """Record a simulated intersection, upload it, fine-tune on it, and show what came out."""
     console = Console()
@@ -62,6 +63,16 @@ def demo(
         job = watch(client, client.create_job(site_id, options).id, console, service.check)
         for artifact in _FETCHED:
             client.download_artifact(job.id, artifact.id, out / artifact.file)
+        _show(console, out, spent, job)
+        console.print(f"\nLook at it in a browser: wibam serve --data {escape(str(out / 'data'))}", highlight=False)
+        if keep:
+            console.print(f"It is up now, until Ctrl-C: {service.pages_url}", highlight=False, soft_wrap=True)
+            with suppress(KeyboardInterrupt):
+                service.wait()
+
+
+def _show(console: Console, out: Path, spent: dict[str, float], job: JobView) -> None:
+    """Print what came out, and write it beside."""
     metrics, tracks, conflicts = _read(out, METRICS), _read(out, TRACKS), _read(out, CONFLICTS)
     print_tables(console, metrics, tracks, conflicts)
     paths = {artifact.name: out / artifact.file for artifact in RESULTS}

@@ -24,6 +24,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from types import TracebackType
 from typing import Self
+from urllib.parse import quote
 
 import httpx
 
@@ -69,6 +70,11 @@ class EmbeddedService:
         self._given_token = token
         self.token = token or ""
         self._stack = contextlib.ExitStack()
+
+    @property
+    def pages_url(self) -> str:
+        """The pages' address, for this machine's user: what stands behind its # signs in, and is never sent along."""
+        return f"{self.url}/sign-in#token={quote(self.token, safe='')}"
 
     def __enter__(self) -> Self:
         """Returns once the service answers.

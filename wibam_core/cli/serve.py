@@ -26,8 +26,9 @@ def serve(
     console = Console()
     signal.signal(signal.SIGTERM, _interrupt)
     with EmbeddedService(data, host=host, port=port, workers=workers, token=token) as service:
-        console.print(f"WIBAM is at  [bold]{service.url}[/]   (docs: {service.url}/docs)", highlight=False)
+        console.print(f"WIBAM is at  [bold]{service.url}[/]   (API: {service.url}/docs)", highlight=False)
         console.print(f"token        [bold]{service.token}[/]", highlight=False, soft_wrap=True)
+        console.print(f"signed in    {service.pages_url}", highlight=False, soft_wrap=True)
         console.print(f"data         {service.data_dir}", highlight=False, soft_wrap=True)
         console.print("\nFor the commands `wibam upload`, `jobs` and `tracks`:", highlight=False)
         console.print(f"  export WIBAM_URL={service.url} WIBAM_TOKEN={service.token}", highlight=False, soft_wrap=True)

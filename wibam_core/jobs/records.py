@@ -125,6 +125,7 @@ class Job:
         files: the uploaded files it works on.
         error: why it failed: a `WibamError.to_dict` with the stage's name in its details.
         restarts: how often it was restarted.
+        name: what users call it; may be empty.
     """
 
     id: str
@@ -139,6 +140,7 @@ class Job:
     finished_at: float | None = None
     error: Mapping[str, Any] | None = None
     restarts: int = 0
+    name: str = ""
 
     def stage(self, name: str) -> StageRun | None:
         """The stage of this name, if the job has one."""

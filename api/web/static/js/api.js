@@ -1,0 +1,124 @@
+// The API, as pages use it: with the browser's session, and the header that marks our own pages.
+
+/** What the service says when it refuses (RFC 9457), as an error. */
+export class Problem extends Error {
+  /**
+   * @param {string} message one sentence
+   * @param {{code?: string, hint?: string, status?: number, details?: Object<string, any>}} [rest]
+   */
+  constructor(message, { code = "", hint = "", status = 0, details = {} } = {}) {
+    super(message);
+    this.name = "Problem";
+    this.code = code;
+    this.hint = hint;
+    this.status = status;
+    this.details = details;
+  }
+}
+
+const HEADERS = { "X-Wibam-Page": "1" };
+
+/**
+ * One request.
+ * @param {string} method
+ * @param {string} path with a leading slash
+ * @param {{body?: any, headers?: Object<string, string>, raw?: BodyInit, signal?: AbortSignal}} [options]
+ *   `body` is sent as JSON, `raw` as it is
+ * @returns {Promise<Response>} of success
+ * @throws {Problem}
+ */
+export async function request(method, path, { body, headers = {}, raw, signal } = {}) {
+  const all = { ...HEADERS, ...headers };
+  if (body !== undefined) all["Content-Type"] = "application/json";
+  let response;
+  try {
+    response = await fetch(path, {
+      method, headers: all, body: body !== undefined ? JSON.stringify(body) : raw, signal, credentials: "same-origin",
+    });
+  } catch (error) {
+    if (signal?.aborted) throw error;
+    throw new Problem("the service does not answer", { code: "unreachable", hint: "Nothing is lost. Is it running? Try again in a moment." });
+  }
+  if (response.ok) return response;
+  throw await problemOf(response);
+}
+
+/** @param {Response} response @returns {Promise<Problem>} */
+async function problemOf(response) {
+  let said = {};
+  try {
+    said = await response.json();
+  } catch { /* a proxy in between may answer without a problem document */ }
+  if (response.status === 401 && !location.pathname.startsWith("/sign-in")) {
+    return new Problem("you are no longer signed in", { code: "unauthorised", status: 401, hint: "Sign in again in another tab; what stands here stays." });
+  }
+  return new Problem(said.detail ?? `the service answered ${response.status}`, {
+    code: said.code, hint: said.hint, status: response.status, details: said.details,
+  });
+}
+
+/** @param {string} path @param {{signal?: AbortSignal}} [options] @returns {Promise<any>} */
+export async function get(path, options = {}) {
+  return (await request("GET", path, options)).json();
+}
+
+/**
+ * A JSON request that changes something.
+ * @param {"POST"|"PUT"|"PATCH"|"DELETE"} method
+ * @param {string} path
+ * @param {any} [body]
+ * @param {Object<string, string>} [headers]
+ * @returns {Promise<any>} the answer; null where it has none
+ */
+export async function send(method, path, body, headers = {}) {
+  const response = await request(method, path, { body, headers });
+  const text = await response.text();
+  return text ? JSON.parse(text) : null;
+}
+
+/**
+ * The value, or null where the service has none (yet).
+ * @param {string} path
+ * @returns {Promise<any>}
+ */
+export async function getIfThere(path) {
+  try {
+    return await get(path);
+  } catch (error) {
+    if (error instanceof Problem && (error.status === 404 || error.status === 409)) return null;
+    throw error;
+  }
+}
+
+/**
+ * Follow a job's events, from the first on. The browser reconnects by itself and goes on after the last event.
+ * @param {string} jobId
+ * @param {(event: {sequence: number, kind: string, at: string, data: any}) => void} seen
+ * @returns {() => void} ends it
+ */
+export function follow(jobId, seen) {
+  const source = new EventSource(`/v1/jobs/${jobId}/events`);
+  for (const kind of ["job", "stage", "progress"]) {
+    source.addEventListener(kind, (event) => seen(JSON.parse(/** @type {MessageEvent} */ (event).data)));
+  }
+  source.addEventListener("error", () => {
+    if (source.readyState === EventSource.CLOSED) source.close();
+  });
+  return () => source.close();
+}
+
+/**
+ * Parameters of an address; lists become repeated ones, and what is null, undefined or empty is left out.
+ * @param {Object<string, any>} values
+ * @returns {string} with its question mark, or nothing
+ */
+export function query(values) {
+  const found = new URLSearchParams();
+  for (const [name, value] of Object.entries(values)) {
+    for (const item of Array.isArray(value) ? value : [value]) {
+      if (item !== null && item !== undefined && item !== "") found.append(name, String(item));
+    }
+  }
+  const text = found.toString();
+  return text ? `?${text}` : "";
+}

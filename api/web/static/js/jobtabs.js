@@ -1,0 +1,22 @@
+// What all pages of one job share: which job, whether it may be changed, and the ways between its pages.
+import { byId, fill, h } from "./dom.js";
+
+export const jobId = document.body.dataset.job ?? "";
+export const readOnly = "readOnly" in document.body.dataset;
+
+const TABS = [["", "Progress"]];
+
+/** @param {any} job */
+export function showTabs(job) {
+  fill(byId("tabs"), TABS.map(([path, title]) => {
+    const href = `/jobs/${jobId}${path}`;
+    return h("a", { href, "aria-current": location.pathname === href ? "page" : null }, title);
+  }));
+  document.title = `${job.name || job.site_name}: ${document.title}`;
+}
+
+/** @param {any} job */
+export function showTitle(job) {
+  byId("site-name").textContent = `Site ${job.site_name} · ${job.id}`;
+  byId("name").textContent = job.name || job.id;
+}

@@ -1,0 +1,98 @@
+"""Signing in, all jobs, and one job, by mouse and keyboard."""
+
+from __future__ import annotations
+
+import re
+
+import pytest
+
+from tests.browser.conftest import Visit, visit
+from tests.finished import finished_job
+from tests.service import TOKEN, LiveApi
+
+
+@pytest.fixture(scope="module")
+def job(api: LiveApi) -> str:
+    job_id = finished_job(api)
+    api.services.jobs.rename(job_id, "first try")
+    return job_id
+
+
+def test_signing_in_leads_where_one_wanted_to_go(tab: Visit, job: str) -> None:
+    page = tab.open(f"/jobs/{job}")
+    page.get_by_label("API token").fill(f" {TOKEN} ")
+    page.keyboard.press("Enter")
+    page.wait_for_url(f"**/jobs/{job}")
+    page.get_by_role("button", name="Sign out").click()
+    page.wait_for_url("**/sign-in")
+    tab.complaints.clear()  # what the page was asking for just then was refused
+
+
+def test_a_wrong_token_is_said(tab: Visit) -> None:
+    page = tab.open("/sign-in")
+    page.get_by_label("API token").fill("wrong")
+    page.get_by_role("button", name="Sign in").click()
+    page.get_by_role("alert").get_by_text("This is not the token.").wait_for()
+    tab.complaints.clear()  # the browser's console names the refusal, too
+
+
+def test_an_address_of_another_site_is_not_gone_to(tab: Visit) -> None:
+    page = tab.open(f"/sign-in?next=//example.org/sites#token={TOKEN}")
+    page.wait_for_url(re.compile("jobs$"))
+    assert page.url == f"{tab.url}/jobs"
+
+
+def test_jobs_are_listed_and_filtered(signed_in: Visit, job: str) -> None:
+    page = signed_in.page
+    page.get_by_role("link", name="first try").wait_for()
+    signed_in.picture("jobs")
+    page.get_by_label("Name or id").fill("no such job")
+    page.get_by_text("No job is like that").wait_for()
+    page.get_by_label("Name or id").fill("FIRST")
+    page.get_by_role("link", name="first try").click()
+    page.wait_for_url(f"**/jobs/{job}")
+
+
+def test_a_job_shows_stages_warnings_and_files(signed_in: Visit, job: str) -> None:
+    page = signed_in.open(f"/jobs/{job}")
+    page.locator(".graph .stage").first.wait_for()
+    assert page.locator(".graph .stage").count() == 13
+    assert page.locator(".graph .stage .state.succeeded").count() == 13
+    page.locator("#warnings").get_by_text("The clock of cam3 is ambiguous").wait_for()
+    page.locator("summary", has_text="Files").click()
+    page.get_by_role("link", name="report.html").wait_for()
+    signed_in.picture("job")
+
+
+def test_a_restart_says_what_it_would_do_and_the_job_is_renamed(signed_in: Visit, job: str) -> None:
+    page = signed_in.open(f"/jobs/{job}")
+    page.get_by_role("button", name="Restart").click()
+    page.get_by_text("Everything is there already").wait_for()
+    page.get_by_label("From").select_option("track")
+    page.get_by_text("3 of 13 stages would run").wait_for()
+    page.get_by_role("button", name="Leave it").click()
+    page.get_by_role("button", name="Rename").click()
+    page.get_by_label("Name of the job").fill("second name")
+    page.keyboard.press("Enter")
+    page.get_by_role("heading", name="second name").wait_for()
+    page.get_by_role("button", name="Rename").click()
+    page.get_by_label("Name of the job").fill("first try")
+    page.keyboard.press("Enter")
+    page.get_by_role("heading", name="first try").wait_for()
+
+
+def test_whoever_gets_the_link_sees_the_job_and_no_button_that_changes_it(
+    signed_in: Visit, playwright_browser: object, job: str
+) -> None:
+    page = signed_in.open(f"/jobs/{job}")
+    page.get_by_role("button", name="Share").click()
+    page.locator("#share-dialog[open]").wait_for()  # it opens once the link is made
+    link = page.get_by_label("Link", exact=True).input_value()
+    with visit(playwright_browser, signed_in.url) as guest:  # type: ignore[arg-type]
+        guest.page.goto(link)
+        guest.page.wait_for_url(re.compile(f"/jobs/{job}$"))
+        guest.page.locator(".graph .stage").first.wait_for()
+        assert guest.page.get_by_text("read only").is_visible()
+        assert guest.page.get_by_role("button", name="Restart").count() == 0
+        assert guest.page.get_by_role("link", name="Sites").count() == 0
+        assert guest.complaints == []
