@@ -31,12 +31,15 @@ demo: $(READY) ## record a simulated intersection, upload it, fine-tune on it an
 serve: $(READY) ## keep the service up for your own footage, on this machine alone
 	$(BIN)/wibam serve
 
-test: $(READY) ## lint, check types and import directions, run all tests
+test: $(READY) ## lint, check types and import directions, run the tests without those of whole services and browsers
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
 	$(BIN)/lint-imports
 	$(BIN)/mypy
-	$(BIN)/python -m pytest -n 2
+	$(BIN)/python -m pytest -n 2 -m "not end_to_end"
+
+test-all: test ## and run the tests of whole services and browsers, too
+	$(BIN)/python -m pytest -n 2 -m end_to_end
 
 READERS := build/readers
 $(READERS)/.ready: tests/readers/requirements.txt
@@ -67,4 +70,4 @@ weights: $(READY) ## train the bundled networks again from simulated images (hou
 clean: ## remove what was built; the virtual environment stays
 	rm -rf build .mypy_cache .ruff_cache .pytest_cache .import_linter_cache
 
-.PHONY: help setup demo serve test test-readers fix weights clean
+.PHONY: help setup demo serve test test-all test-readers fix weights clean

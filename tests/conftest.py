@@ -20,6 +20,16 @@ for _name in ("http_proxy", "https_proxy", "all_proxy"):
     os.environ.pop(_name.upper(), None)
 
 ROOT = Path(__file__).resolve().parent.parent
+#: All tests in these folders are marked `end_to_end`.
+_END_TO_END = (ROOT / "tests" / "browser", ROOT / "tests" / "integration")
+
+
+@pytest.hookimpl(tryfirst=True)
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """Mark whole services and browsers, before `-m` chooses."""
+    for item in items:
+        if any(item.path.is_relative_to(folder) for folder in _END_TO_END):
+            item.add_marker(pytest.mark.end_to_end)
 
 
 @pytest.fixture(scope="session")

@@ -90,15 +90,15 @@ def live_api(settings: ServiceSettings) -> Iterator[LiveApi]:
         wait_until(lambda: server.started or not thread.is_alive())
         assert server.started, "the API did not start"
         url = f"http://127.0.0.1:{listener.getsockname()[1]}"
-        with httpx.Client(base_url=url, headers={"Authorization": f"Bearer {TOKEN}"}, timeout=20) as http:
+        with httpx.Client(base_url=url, headers={"Authorization": f"Bearer {TOKEN}"}, timeout=300) as http:
             yield LiveApi(url, http, app.state.services)
     finally:
         server.should_exit = True
-        thread.join(timeout=10)
+        thread.join(timeout=120)
     assert not thread.is_alive()
 
 
-def wait_until(condition: Callable[[], bool], seconds: float = 60.0) -> None:
+def wait_until(condition: Callable[[], bool], seconds: float = 600.0) -> None:
     """Look again and again until it is so; fail when it takes far too long."""
     deadline = time.monotonic() + seconds
     while not condition():

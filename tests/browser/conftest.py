@@ -55,7 +55,7 @@ def browse(chromium: str, tmp_path: Path) -> Callable[..., subprocess.CompletedP
             ],
             capture_output=True,
             text=True,
-            timeout=120,
+            timeout=600,
             check=True,
         )
 

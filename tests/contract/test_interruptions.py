@@ -47,7 +47,7 @@ def client(api: LiveApi, monkeypatch: pytest.MonkeyPatch) -> Iterator[WibamClien
     """It does not pause for long, and puts up with a service that is away for no time at all."""
     monkeypatch.setattr(uploading, "_FIRST_PAUSE_S", 0.01)
     monkeypatch.setattr(uploading, "_LONGEST_PAUSE_S", 0.02)
-    with WibamClient(api.url, TOKEN, timeout_s=10.0, patience_s=0.0) as connected:
+    with WibamClient(api.url, TOKEN, timeout_s=300.0, patience_s=0.0) as connected:
         yield connected
 
 
@@ -98,7 +98,7 @@ class TestSilence:
             f"PATCH {path} HTTP/1.1\r\nHost: x\r\nAuthorization: Bearer {TOKEN}\r\nTus-Resumable: 1.0.0\r\n"
             f"Upload-Offset: 0\r\nContent-Type: application/offset+octet-stream\r\nContent-Length: {len(DATA)}\r\n\r\n"
         )
-        with socket.create_connection((address.hostname, address.port), timeout=60) as connection:  # type: ignore[arg-type]
+        with socket.create_connection((address.hostname, address.port), timeout=300) as connection:  # type: ignore[arg-type]
             connection.sendall(head.encode() + DATA[:sent])
             answer = b""
             while part := connection.recv(4096):  # to the end: the service hangs up

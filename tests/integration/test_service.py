@@ -24,6 +24,9 @@ from wibam_core.jobs.states import JobState, StageState
 SITE = site_of(corner_rig(2))
 OPTIONS = {"preflight": {"min_overlap_s": 1.0}}  # the cameras have no signals, so that jobs end at sync: soon
 
+#: How long a job may take on a busy machine; it takes seconds.
+PATIENCE_S = 600.0
+
 
 @pytest.fixture(scope="module")
 def recording(tmp_path_factory: pytest.TempPathFactory) -> Path:
@@ -92,7 +95,7 @@ class TestJobs:
     def test_a_job_runs_up_to_the_stage_that_cannot_go_on(self, client: WibamClient, recording: Path) -> None:
         site = send(client, recording)
         updates: list[JobView] = []
-        job = client.wait(client.create_job(site, OPTIONS).id, updates.append, timeout_s=120, interval_s=0.1)
+        job = client.wait(client.create_job(site, OPTIONS).id, updates.append, timeout_s=PATIENCE_S, interval_s=0.1)
         assert job.state is JobState.FAILED
         assert job.error is not None
         assert job.error.code == "no_signal_change"
@@ -105,13 +108,12 @@ class TestJobs:
         assert {file.camera for file in client.files(site)} == {"cam1", "cam2"}
         would = {planned.name: planned.would for planned in client.plan(site, OPTIONS)}
         assert (would["preflight"], would["sync"]) == ("reuse", "run")
-        again = client.wait(client.create_job(site, OPTIONS).id, timeout_s=60)
+        again = client.wait(client.create_job(site, OPTIONS).id, timeout_s=PATIENCE_S)
         assert stage(again, "preflight") is StageState.REUSED
 
-    @pytest.mark.slow
     def test_frames_and_detections_are_made(self, client: WibamClient, recording: Path) -> None:
         job = client.create_job(send(client, recording), {**OPTIONS, "sync": {"method": "none"}})
-        job = client.wait(job.id, timeout_s=240)
+        job = client.wait(job.id, timeout_s=PATIENCE_S)
         assert stage(job, "detect") is StageState.SUCCEEDED or stage(job, "frames") is StageState.SUCCEEDED
         assert job.error is not None
         assert job.error.code in ("no_vehicles", "no_multiview_vehicles")
@@ -123,25 +125,25 @@ class TestJobs:
         text.write_text("not a video at all")
         site = send(client, recording, cameras=("cam1",))
         client.upload_recording(site, "cam2", text)
-        job = client.wait(client.create_job(site, OPTIONS).id, timeout_s=60)
+        job = client.wait(client.create_job(site, OPTIONS).id, timeout_s=PATIENCE_S)
         assert job.error is not None
         assert job.error.code == "unreadable_video"
         assert "cam2" in job.error.message
         client.upload_recording(site, "cam2", recording)
         again = client.create_job(site, OPTIONS)
         assert again.state is JobState.QUEUED
-        assert stage(client.wait(again.id, timeout_s=60), "preflight").has_outputs
+        assert stage(client.wait(again.id, timeout_s=PATIENCE_S), "preflight").has_outputs
 
     def test_a_running_job_can_be_cancelled_and_restarted(self, client: WibamClient, recording: Path) -> None:
         options = {"preflight": {"min_overlap_s": 1.1}}
         job = client.create_job(send(client, recording), options)
         wait_until(lambda: client.job(job.id).state is JobState.RUNNING)
         client.cancel(job.id)
-        cancelled = client.wait(job.id, timeout_s=30)
+        cancelled = client.wait(job.id, timeout_s=PATIENCE_S)
         assert cancelled.state is JobState.CANCELLED
         assert StageState.RUNNING not in {item.state for item in cancelled.stages}
         client.restart(job.id)
-        ended = client.wait(job.id, timeout_s=60)
+        ended = client.wait(job.id, timeout_s=PATIENCE_S)
         assert stage(ended, "preflight").has_outputs
         client.delete_job(job.id)
         assert job.id not in {found.id for found in client.jobs()}
@@ -163,11 +165,10 @@ class TestDeaths:
         wait_until(lambda: bool(stages_of(service.data_dir, 1.2)))
         for pid in stages_of(service.data_dir, 1.2):
             os.kill(pid, signal.SIGKILL)
-        failed = client.wait(job.id, timeout_s=60)
+        failed = client.wait(job.id, timeout_s=PATIENCE_S)
         assert failed.error is not None
         assert failed.error.code == "stage_crashed"
 
-    @pytest.mark.slow
     def test_a_killed_worker_is_replaced_and_its_stage_taken_up(
         self, service: EmbeddedService, client: WibamClient, recording: Path
     ) -> None:
@@ -177,12 +178,11 @@ class TestDeaths:
         assert workers
         for pid in workers:
             os.kill(pid, signal.SIGKILL)
-        wait_until(lambda: not stages_of(service.data_dir, 1.3), 10)
-        ended = client.wait(job.id, timeout_s=120)
+        wait_until(lambda: not stages_of(service.data_dir, 1.3))
+        ended = client.wait(job.id, timeout_s=PATIENCE_S)
         assert stage(ended, "preflight") is StageState.SUCCEEDED
         assert "attempt 2" in client.log(job.id)[0]
 
-    @pytest.mark.slow
     def test_a_killed_redis_is_replaced_and_loses_no_job(
         self, service: EmbeddedService, client: WibamClient, recording: Path
     ) -> None:
@@ -192,7 +192,7 @@ class TestDeaths:
         for pid in brokers:
             os.kill(pid, signal.SIGKILL)
         job = client.create_job(site, {"preflight": {"min_overlap_s": 1.4}})
-        ended = client.wait(job.id, timeout_s=180)
+        ended = client.wait(job.id, timeout_s=PATIENCE_S)
         assert stage(ended, "preflight") is StageState.SUCCEEDED
 
 
@@ -218,7 +218,6 @@ class TestService:
         with EmbeddedService(tmp_path / ("ä b" * 30) / "data") as service:
             assert httpx.get(f"{service.url}/readyz").status_code == 200
 
-    @pytest.mark.slow
     def test_after_kill_nothing_is_left_and_the_folder_works_again(self, tmp_path: Path) -> None:
         data = tmp_path / "data"
         code = f"""
@@ -237,7 +236,7 @@ with EmbeddedService(Path({str(data)!r})) as service:
             parts = descendants(process.pid)
             assert len(parts) >= 3
             process.kill()
-        wait_until(lambda: not set(parts) & running().keys(), 15)
+        wait_until(lambda: not set(parts) & running().keys())
         with EmbeddedService(data) as service, WibamClient(service.url, service.token) as client:
             assert service.token == token
             assert [found.id for found in client.sites()] == [site]

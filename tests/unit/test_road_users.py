@@ -173,7 +173,6 @@ def in_a_process_with(entry: str, checks: str, folder: Path) -> subprocess.Compl
         env=environment,
         capture_output=True,
         text=True,
-        timeout=200,
         check=False,
     )
 

@@ -10,6 +10,7 @@ from pathlib import Path
 import pytest
 import sqlalchemy
 
+from tests.unit.adapters.world import World
 from wibam_core.adapters.database import Database, sqlite_url
 from wibam_core.adapters.models import Base
 
@@ -51,3 +52,8 @@ def database(request: pytest.FixtureRequest, tmp_path: Path) -> Iterator[Databas
     database.migrate()
     yield database
     database.close()
+
+
+@pytest.fixture
+def world(database: Database) -> World:
+    return World(database)

@@ -5,15 +5,9 @@ from __future__ import annotations
 import pytest
 
 from tests.unit.adapters.world import World, plan
-from wibam_core.adapters.database import Database
 from wibam_core.adapters.lease_store import LostLease
 from wibam_core.jobs.leases import Claim
 from wibam_core.jobs.records import Job
-
-
-@pytest.fixture
-def world(database: Database) -> World:
-    return World(database)
 
 
 def finished(world: World) -> Job:

@@ -82,7 +82,7 @@ def test_readiness_is_not_asked_through_a_proxy(family: embedded._Family, monkey
 
     for name in ("HTTP_PROXY", "http_proxy", "ALL_PROXY"):
         monkeypatch.setenv(name, "http://127.0.0.1:9")
-    monkeypatch.setattr(embedded, "_PATIENCE_S", 3.0)
+    monkeypatch.setattr(embedded, "_PATIENCE_S", 300.0)
     with HTTPServer(("127.0.0.1", 0), Ready) as server:
         threading.Thread(target=server.serve_forever, daemon=True).start()
         embedded._wait_until_ready(f"http://127.0.0.1:{server.server_port}", family)

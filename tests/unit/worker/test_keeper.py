@@ -64,7 +64,7 @@ def claim(database: Database, leases: LeaseStore) -> Claim:
 
 
 def wait_for(condition: Callable[[], bool]) -> None:
-    deadline = time.monotonic() + 60.0
+    deadline = time.monotonic() + 600.0
     while not condition():
         assert time.monotonic() < deadline
         time.sleep(0.01)

@@ -21,7 +21,7 @@ def start(tmp_path: Path, code: str) -> StageProcess:
     return StageProcess.confined([sys.executable, "-c", code], home=tmp_path, cache=tmp_path, nice=3)
 
 
-def listen(process: StageProcess, seconds: float = 120.0) -> list[Message]:
+def listen(process: StageProcess, seconds: float = 600.0) -> list[Message]:
     messages: list[Message] = []
     deadline = time.monotonic() + seconds
     while time.monotonic() < deadline:
@@ -40,7 +40,7 @@ def alive(pid: int) -> bool:
     return state != "Z"
 
 
-def wait_until(condition: object, seconds: float = 60.0) -> bool:
+def wait_until(condition: object, seconds: float = 600.0) -> bool:
     deadline = time.monotonic() + seconds
     while time.monotonic() < deadline:
         if condition():  # type: ignore[operator]
