@@ -97,7 +97,7 @@ class Gate:
             message = await receive()
             received += len(message.get("body", b""))
             if received > self._max_body_bytes:
-                raise _BodyTooLarge(self._too_large())
+                raise BodyTooLarge(self._too_large())
             return message
 
         return bounded
@@ -109,7 +109,7 @@ class Gate:
         )
 
 
-class _BodyTooLarge(HTTPException):
+class BodyTooLarge(HTTPException):
     """FastAPI hands HTTP exceptions on from the reading of a body; of all others it makes a 400."""
 
     def __init__(self, error: TooLarge) -> None:

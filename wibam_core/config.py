@@ -22,7 +22,7 @@ class StageConfig(BaseModel):
 
 class PreflightConfig(StageConfig):
     min_overlap_s: float = Field(
-        5.0, ge=0, description="shortest time that each recording must share with another, once synchronised"
+        5.0, ge=0, le=3600, description="shortest time that each recording must share with another, once synchronised"
     )
 
 
@@ -41,18 +41,19 @@ class SyncConfig(StageConfig):
     max_offset_s: float | None = Field(
         None,
         gt=0,
+        le=86400,
         description="largest clock offset that is expected; of offsets that explain the recordings equally well, those"
         " within it are preferred. Every offset is searched under which recordings overlap, whatever this says",
     )
 
 
 class CalibrateConfig(StageConfig):
-    max_error_px: float = Field(10.0, gt=0, description="fail above this median reprojection error")
+    max_error_px: float = Field(10.0, gt=0, le=1000, description="fail above this median reprojection error")
 
 
 class FramesConfig(StageConfig):
     rate_hz: float = Field(12.5, gt=0, le=120, description="common sampling rate")
-    width_px: int = Field(960, ge=64, description="images wider than this are shrunk once, here")
+    width_px: int = Field(960, ge=64, le=8192, description="images wider than this are shrunk once, here")
     jpeg_quality: int = Field(92, ge=30, le=100, description="of the stored images, as OpenCV counts it")
 
 
@@ -60,7 +61,7 @@ class DetectConfig(StageConfig):
     detector: Literal["bundled", "custom"] = Field(
         "bundled", description="'custom': the site's own detector.onnx, e.g. of the YOLOX family"
     )
-    rate_hz: float = Field(6.25, gt=0, description="instants per second that are searched for vehicles")
+    rate_hz: float = Field(6.25, gt=0, le=120, description="instants per second that are searched for vehicles")
     min_score: float = Field(0.3, gt=0, lt=1, description="weaker boxes are left out")
     nms_iou: float = Field(0.6, gt=0, lt=1, description="of two boxes that overlap more (IoU), the weaker is left out")
     refine: Literal["auto", "on", "off"] = Field(
@@ -71,68 +72,78 @@ class DetectConfig(StageConfig):
     background_s: float = Field(
         120.0,
         gt=0,
+        le=86400,
         description="a camera's background is made anew about this often: less where the light changes quickly, more"
         " where vehicles stand for longer, since what they always hide stays unknown",
     )
 
 
 class AssociateConfig(StageConfig):
-    cluster_radius_m: float = Field(3.0, gt=0, description="DP-means penalty: farther rays open a new vehicle")
+    cluster_radius_m: float = Field(3.0, gt=0, le=50, description="DP-means penalty: farther rays open a new vehicle")
     range_m: float = Field(
-        60.0, gt=0, description="ground points farther than this from the cameras' centre are left out"
+        60.0, gt=0, le=1000, description="ground points farther than this from the cameras' centre are left out"
     )
     max_speed_mps: float = Field(
-        30.0, gt=0, description="what is seen again farther away than this speed allows is another vehicle"
+        30.0, gt=0, le=150, description="what is seen again farther away than this speed allows is another vehicle"
     )
     max_gap_s: float = Field(
         0.5,
         gt=0,
+        le=60,
         description="a box that its camera does not find again for longer begins anew; three instants at the usual"
         " detect.rate_hz: allow more where fewer are searched or a detector misses many",
     )
     max_hidden_moving_s: float = Field(
         3.0,
         ge=0,
+        le=600,
         description="a moving vehicle that all cameras lose for longer is another one when it is seen again: nobody"
         " knows where it went meanwhile",
     )
     max_hidden_standing_s: float = Field(
         45.0,
         ge=0,
+        le=3600,
         description="a standing vehicle that all cameras lose for longer is another one when it is seen again; a queue"
         " may hide it for as long as a red light lasts",
     )
 
 
 class DatasetConfig(StageConfig):
-    rate_hz: float = Field(2.5, gt=0, description="instants per second that are trained and evaluated on")
+    rate_hz: float = Field(2.5, gt=0, le=120, description="instants per second that are trained and evaluated on")
     train_share: float = Field(0.75, gt=0, lt=1, description="share of the footage, from its start, to train on")
     val_share: float = Field(
         0.15, ge=0, lt=1, description="share after that by which the best state is chosen; the rest tests it"
     )
-    gap_s: float = Field(2.0, ge=0, description="left out between subsets, so that no vehicle is in two")
+    gap_s: float = Field(2.0, ge=0, le=600, description="left out between subsets, so that no vehicle is in two")
 
 
 class LiftConfig(StageConfig):
-    rate_hz: float = Field(5.0, gt=0, description="instants per second that are fitted, beside those of the split")
-    min_views: int = Field(2, ge=2, description="cameras that must see a vehicle at an instant for it to be fitted")
-    iterations: int = Field(50, ge=5, description="most Gauss-Newton steps of a fit")
-    max_residual: float = Field(0.2, gt=0, description="fits with a larger mean 1 - GIoU are not trained on")
+    rate_hz: float = Field(
+        5.0, gt=0, le=120, description="instants per second that are fitted, beside those of the split"
+    )
+    min_views: int = Field(
+        2, ge=2, le=32, description="cameras that must see a vehicle at an instant for it to be fitted"
+    )
+    iterations: int = Field(50, ge=5, le=1000, description="most Gauss-Newton steps of a fit")
+    max_residual: float = Field(0.2, gt=0, le=2, description="fits with a larger mean 1 - GIoU are not trained on")
     few_views_sightings: int = Field(
         5,
         ge=2,
+        le=1000,
         description="where fewer than min_views cameras see a vehicle, it is fitted if its track has so many sightings:"
         " they and its class tell its size",
     )
     few_views_sd_m: float = Field(
         0.5,
         gt=0,
+        le=50,
         description="fits of vehicles that fewer than min_views cameras see are kept if the standard deviation of their"
         " place is at most this",
     )
     learn_templates: bool = Field(True, description="correct each class's body by what all its tracks show")
     min_template_tracks: int = Field(
-        5, ge=2, description="classes with fewer tracks keep their body: one odd vehicle is not the class"
+        5, ge=2, le=1000, description="classes with fewer tracks keep their body: one odd vehicle is not the class"
     )
 
 
@@ -180,11 +191,12 @@ class FinetuneConfig(StageConfig):
         description="how wide the network sees the images; unless given, as its file says, 640 for 'small'; a step"
         " takes as much longer as an image has more pixels",
     )
-    steps: int = Field(1200, ge=1, description="gradient steps in all")
-    batch_size: int = Field(8, ge=1, description="images per step")
+    steps: int = Field(1200, ge=1, le=200_000, description="gradient steps in all")
+    batch_size: int = Field(8, ge=1, le=512, description="images per step")
     learning_rate: float | None = Field(
         None,
         gt=0,
+        le=10,
         description="peak rate; unless given, 1e-4 for 'paper' and 2.5e-3 for the others, or the published ones for"
         " 'custom' networks",
     )
@@ -196,9 +208,9 @@ class FinetuneConfig(StageConfig):
         False, description="'paper': also learn 2D centre offsets and box sizes by L1, as in the published code"
     )
     multiview_weight: float | None = Field(
-        None, gt=0, description="'combined': weight of the multi-view loss; unless given, 0.1"
+        None, gt=0, le=1000, description="'combined': weight of the multi-view loss; unless given, 0.1"
     )
-    steps_per_epoch: int = Field(50, ge=1, description="a checkpoint and a validation after each")
+    steps_per_epoch: int = Field(50, ge=1, le=200_000, description="a checkpoint and a validation after each")
     seed: int = Field(0, ge=0, le=2**63 - 1, description="of the order of images and of their augmentation")
 
     @pydantic.field_validator("decode")
@@ -220,54 +232,62 @@ class FinetuneConfig(StageConfig):
 
 
 class EvaluateConfig(StageConfig):
-    max_range_m: float = Field(50.0, gt=0, description="labels farther from the camera are not counted")
+    max_range_m: float = Field(50.0, gt=0, le=1000, description="labels farther from the camera are not counted")
     min_visibility: float = Field(0.3, ge=0, le=1, description="labels less visible are not counted")
-    match_distance_m: float = Field(4.0, gt=0, description="a detection farther than this from a label is no match")
+    match_distance_m: float = Field(
+        4.0, gt=0, le=50, description="a detection farther than this from a label is no match"
+    )
     min_score: float = Field(0.25, ge=0, lt=1, description="weaker detections are not counted")
 
 
 class TrackConfig(StageConfig):
-    rate_hz: float = Field(6.25, gt=0, description="instants per second that are tracked on")
+    rate_hz: float = Field(6.25, gt=0, le=120, description="instants per second that are tracked on")
     min_score: float = Field(0.3, ge=0, lt=1, description="weaker detections are not used")
     max_place_sd_m: float = Field(
         3.0,
         gt=0,
+        le=100,
         description="detections whose place is less certain than this (standard deviation) are not used: far away, near"
         " the horizon",
     )
     fusion_radius_m: float = Field(
         2.5,
         gt=0,
+        le=50,
         description="two cameras' detections that lie nearer are one vehicle, farther ones two; about a lane less a"
         " car's width, and as much larger along a vehicle as that is longer than a car",
     )
     gate_m: float = Field(
-        4.0, gt=0, description="a detection farther than this from where a track is expected does not go on with it"
+        4.0,
+        gt=0,
+        le=50,
+        description="a detection farther than this from where a track is expected does not go on with it",
     )
-    min_hits: int = Field(4, ge=1, description="tracks seen fewer times are dropped")
+    min_hits: int = Field(4, ge=1, le=1000, description="tracks seen fewer times are dropped")
     min_seen_share: float = Field(
         0.3,
         ge=0,
         le=1,
         description="a track seen at a smaller share of the instants that it lasted is dropped: a chain of false boxes",
     )
-    max_coast_s: float = Field(1.0, gt=0, description="a track unseen for longer ends")
+    max_coast_s: float = Field(1.0, gt=0, le=60, description="a track unseen for longer ends")
 
 
 class SafetyConfig(StageConfig):
-    ttc_s: float = Field(3.0, gt=0, description="a smaller time to collision is a conflict")
-    pet_s: float = Field(2.0, gt=0, description="a smaller post-encroachment time is a conflict")
-    min_speed_mps: float = Field(1.0, ge=0, description="at least one of the two must move this fast")
+    ttc_s: float = Field(3.0, gt=0, le=30, description="a smaller time to collision is a conflict")
+    pet_s: float = Field(2.0, gt=0, le=30, description="a smaller post-encroachment time is a conflict")
+    min_speed_mps: float = Field(1.0, ge=0, le=100, description="at least one of the two must move this fast")
     min_deceleration_mps2: float = Field(
-        3.0, ge=0, description="a collision that softer braking would avoid is no conflict"
+        3.0, ge=0, le=50, description="a collision that softer braking would avoid is no conflict"
     )
     min_instants: int = Field(
         3,
         ge=1,
+        le=1000,
         description="fewest instants in a row with a time to collision below ttc_s that are a conflict: one may err",
     )
     min_duration_s: float = Field(
-        0.2, ge=0, description="shortest time for which the time to collision stays below ttc_s in a conflict"
+        0.2, ge=0, le=60, description="shortest time for which the time to collision stays below ttc_s in a conflict"
     )
     min_probability: float = Field(
         0.8,
@@ -277,7 +297,10 @@ class SafetyConfig(StageConfig):
         " below ttc_s: a pass close by is not taken for a crash course",
     )
     min_track_s: float = Field(
-        1.0, ge=0, description="road users that were tracked for a shorter time have no sure speed and are left out"
+        1.0,
+        ge=0,
+        le=600,
+        description="road users that were tracked for a shorter time have no sure speed and are left out",
     )
     max_overlap_iou: float = Field(
         0.1,
@@ -303,7 +326,7 @@ class SafetyConfig(StageConfig):
 
 
 class ReportConfig(StageConfig):
-    examples: int = Field(4, ge=1, description="before/after reprojections shown")
+    examples: int = Field(4, ge=1, le=50, description="before/after reprojections shown")
 
 
 class PipelineConfig(StageConfig):

@@ -12,14 +12,18 @@ from pathlib import Path
 from typing import Annotated, Literal
 
 import pydantic
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import BaseModel, ConfigDict, FailFast, Field
 
 from wibam_core.errors import SiteFileError
 from wibam_core.text import NotUnicode, decode_text
 
 #: Ids become file names inside our own folders, so they are plain.
 CameraId = Annotated[str, Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9_-]{0,63}$")]
-Row3 = tuple[float, float, float]
+#: Larger than anything that is measured here: a UTM northing in centimetres has nine digits.
+Number = Annotated[float, Field(ge=-1e10, le=1e10)]
+Row3 = tuple[Number, Number, Number]
+#: Distortion coefficients in OpenCV's order, which has 14 at most.
+Distortion = Annotated[tuple[Number, ...], Field(max_length=14), FailFast()]
 
 
 class _Model(BaseModel):
@@ -33,14 +37,18 @@ class SignalRegion(_Model):
     """
 
     id: str = Field(min_length=1, max_length=64)
-    region: tuple[float, float, float, float]
+    region: tuple[Number, Number, Number, Number]
 
 
 class Correspondence(_Model):
     """A surveyed point: ``world`` x, y, z in m and ``pixel`` u, v in px of the recording."""
 
     world: Row3
-    pixel: tuple[float, float]
+    pixel: tuple[Number, Number]
+
+
+#: A list stops at its first entry that is wrong: each of thousands of wrong ones would be told otherwise.
+Correspondences = Annotated[tuple[Correspondence, ...], Field(max_length=10_000), FailFast()]
 
 
 class MatrixCalibration(_Model):
@@ -48,7 +56,7 @@ class MatrixCalibration(_Model):
 
     kind: Literal["matrices"] = "matrices"
     K: tuple[Row3, Row3, Row3]
-    dist: tuple[float, ...] = ()
+    dist: Distortion = ()
     rvec: Row3
     tvec: Row3
 
@@ -58,15 +66,15 @@ class PnPCalibration(_Model):
 
     kind: Literal["pnp"] = "pnp"
     K: tuple[Row3, Row3, Row3]
-    dist: tuple[float, ...] = ()
-    correspondences: tuple[Correspondence, ...]
+    dist: Distortion = ()
+    correspondences: Correspondences
 
 
 class HomographyCalibration(_Model):
     """Ground points only (z = 0): focal length and pose follow from the homography (square pixels, centred)."""
 
     kind: Literal["homography"] = "homography"
-    correspondences: tuple[Correspondence, ...]
+    correspondences: Correspondences
 
 
 Calibration = Annotated[MatrixCalibration | PnPCalibration | HomographyCalibration, Field(discriminator="kind")]
@@ -79,7 +87,7 @@ class SiteCamera(_Model):
     width_px: int = Field(gt=0, le=16384)
     height_px: int = Field(gt=0, le=16384)
     calibration: Calibration
-    signals: tuple[SignalRegion, ...] = ()
+    signals: Annotated[tuple[SignalRegion, ...], Field(max_length=64), FailFast()] = ()
 
 
 class Origin(_Model):
@@ -103,7 +111,7 @@ class Site(_Model):
     """A site. The first camera is the reference: its clock is the result's clock."""
 
     name: str = Field(min_length=1, max_length=200)
-    cameras: tuple[SiteCamera, ...] = Field(min_length=1, max_length=32)
+    cameras: Annotated[tuple[SiteCamera, ...], Field(min_length=1, max_length=32), FailFast()]
     origin: Origin | None = None
 
     @pydantic.model_validator(mode="after")
@@ -152,7 +160,7 @@ class Site(_Model):
             raise SiteFileError(
                 f"site description: {where}: {first['msg']}",
                 hint="Correct this field; docs/site-format.md describes them all.",
-                errors=[{"field": ".".join(map(str, e["loc"])), "problem": e["msg"]} for e in error.errors()],
+                errors=[{"field": ".".join(map(str, e["loc"])), "problem": e["msg"]} for e in error.errors()[:20]],
             ) from error
         site.check()
         return site

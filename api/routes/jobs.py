@@ -12,6 +12,7 @@ from fastapi import APIRouter, Depends, Header, Query, Response
 from fastapi.sse import EventSourceResponse, ServerSentEvent
 from starlette.concurrency import run_in_threadpool
 
+from api.bodies import BoundedJsonRoute
 from api.parameters import ONLY_KNOWN_PARAMETERS
 from api.problems import documented
 from api.schemas import (
@@ -32,7 +33,7 @@ from wibam_core.jobs.records import Job
 from wibam_core.jobs.states import JobState
 from wibam_core.stages.graph import PlannedStage, downstream
 
-router = APIRouter(prefix="/v1", tags=["jobs"], responses=documented(401))
+router = APIRouter(prefix="/v1", tags=["jobs"], responses=documented(401), route_class=BoundedJsonRoute)
 _LOOK_EVERY_S = 0.4
 
 

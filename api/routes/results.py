@@ -97,7 +97,9 @@ def tracks(
         str | None, Query(description="`x_min,y_min,x_max,y_max` in m", examples=["-10,-10,10,10"])
     ] = None,
     polygon: Annotated[str | None, Query(description="corners `x1,y1;x2,y2;...` in m", max_length=4000)] = None,
-    vehicle_class: Annotated[list[RoadUserClass] | None, Query(alias="class", description="any of these")] = None,
+    vehicle_class: Annotated[
+        list[RoadUserClass] | None, Query(alias="class", description="any of these", max_length=100)
+    ] = None,
     track_id: Annotated[list[Int64] | None, Query(description="any of these", max_length=1000)] = None,
     min_speed_mps: Annotated[float | None, Query(ge=0, allow_inf_nan=False)] = None,
     limit: Annotated[int | None, Query(ge=1, le=100_000)] = None,

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from fastapi import APIRouter
 
+from api.bodies import BoundedJsonRoute
 from api.problems import documented
 from api.schemas import RecordingOut, SiteOut
 from api.services import Services, ServicesDep
@@ -13,7 +14,7 @@ from wibam_core.errors import WibamError
 from wibam_core.jobs.records import Purpose
 from wibam_core.site import Site
 
-router = APIRouter(prefix="/v1/sites", tags=["sites"], responses=documented(401))
+router = APIRouter(prefix="/v1/sites", tags=["sites"], responses=documented(401), route_class=BoundedJsonRoute)
 
 
 @router.post("", status_code=201, summary="Describe a site", responses=documented(413, 422))

@@ -102,6 +102,14 @@ class TestSites:
             body = assert_problem(api.http.post("/v1/sites", content=large, headers=headers), 413, "too_large")
             assert "/v1/uploads" in body["hint"]
 
+    def test_a_flood_of_empty_cameras_or_unknown_fields(self, api: LiveApi) -> None:
+        body = assert_problem(
+            api.http.post("/v1/sites", json={"name": "x", "cameras": [{}] * 50_000}), 422, "invalid_input"
+        )
+        assert len(body["details"]["errors"]) <= 20
+        unknown = dict.fromkeys(map(str, range(50_000)), 0)
+        assert_problem(api.http.post("/v1/sites", json={"name": "x", "cameras": [], **unknown}), 413, "too_large")
+
     def test_unknown_paths_and_methods(self, api: LiveApi) -> None:
         body = assert_problem(api.http.get("/v1/nothing"), 404, "not_found")
         assert "/v1/nothing" in body["detail"]

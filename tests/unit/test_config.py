@@ -2,7 +2,7 @@ from __future__ import annotations
 
 import pytest
 
-from wibam_core.config import PipelineConfig
+from wibam_core.config import PipelineConfig, StageConfig
 from wibam_core.errors import InvalidOption
 
 
@@ -31,3 +31,14 @@ def test_options_out_of_bounds_are_refused_by_name(options: dict[str, dict[str, 
     ((stage, part),) = options.items()
     with pytest.raises(InvalidOption, match=f"option {stage}.{next(iter(part))}: "):
         PipelineConfig.parse(options)
+
+
+def test_every_number_has_a_largest_and_a_smallest_value() -> None:
+    """A step count of 1e12 would hold a worker for years."""
+    for stage, field in PipelineConfig.model_fields.items():
+        assert field.annotation is not None and issubclass(field.annotation, StageConfig)
+        for name, schema in field.annotation.model_json_schema()["properties"].items():
+            numbers = [of for of in schema.get("anyOf", [schema]) if of.get("type") in ("number", "integer")]
+            for of in numbers:
+                assert {"maximum", "exclusiveMaximum"} & of.keys(), f"{stage}.{name}"
+                assert {"minimum", "exclusiveMinimum"} & of.keys(), f"{stage}.{name}"
