@@ -15,7 +15,7 @@ from wibam_core.models.taught import TAUGHT
 from wibam_core.models.trunk import TrunkShape
 
 
-@pytest.mark.filterwarnings("ignore::DeprecationWarning", "ignore::UserWarning")
+@pytest.mark.filterwarnings("error::DeprecationWarning", "ignore::UserWarning")
 def test_the_onnx_file_agrees_with_the_network_at_any_size(tmp_path: Path) -> None:
     torch.manual_seed(0)
     torch.set_num_threads(1)
@@ -42,7 +42,7 @@ def test_the_onnx_file_agrees_with_the_network_at_any_size(tmp_path: Path) -> No
         assert (ltrb > 0).all()
 
 
-@pytest.mark.filterwarnings("ignore::DeprecationWarning", "ignore::UserWarning")
+@pytest.mark.filterwarnings("error::DeprecationWarning", "ignore::UserWarning")
 def test_the_exported_refiner_agrees_with_the_network_for_any_number_of_crops(tmp_path: Path) -> None:
     torch.manual_seed(0)
     refiner = EdgeRefinerNetwork().eval()

@@ -26,7 +26,7 @@ from wibam_core.synthetic.sampling import sample_views
 
 TINY = TrunkShape(channels=(8, 8, 16, 16, 16), blocks=(1, 0, 1, 0), neck=8)
 
-pytestmark = pytest.mark.filterwarnings("ignore::DeprecationWarning")
+pytestmark = pytest.mark.filterwarnings("error::DeprecationWarning")
 
 
 @pytest.fixture(scope="module", autouse=True)
