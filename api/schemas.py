@@ -11,7 +11,7 @@ from wibam_core.adapters.results import ResultFile
 from wibam_core.config import PipelineConfig
 from wibam_core.documents.recordings import VideoInfo
 from wibam_core.documents.warnings import StageWarning
-from wibam_core.jobs.estimate import job_fraction, remaining_s
+from wibam_core.jobs.estimate import job_fraction, remaining_s, stage_remaining_s
 from wibam_core.jobs.records import Event, Job, SiteRecord, StageRun, StoredFile
 from wibam_core.jobs.states import JobState, StageState
 from wibam_core.site import Site
@@ -157,9 +157,10 @@ class StageOut(BaseModel):
     started_at: datetime | None
     finished_at: datetime | None
     seconds: float | None = Field(description="how long it took")
+    remaining_s: float | None = Field(description="how long it will still take once it runs, where enough is known")
 
     @classmethod
-    def of(cls, stage: StageRun) -> StageOut:
+    def of(cls, stage: StageRun, typical_s: dict[str, float], now: float) -> StageOut:
         both = stage.started_at is not None and stage.finished_at is not None
         return cls(
             name=stage.name,
@@ -177,6 +178,7 @@ class StageOut(BaseModel):
             started_at=_time_or_none(stage.started_at),
             finished_at=_time_or_none(stage.finished_at),
             seconds=(stage.finished_at or 0.0) - (stage.started_at or 0.0) if both else None,
+            remaining_s=stage_remaining_s(stage, typical_s, now),
         )
 
 
@@ -213,7 +215,7 @@ class JobOut(BaseModel):
             remaining_s=remaining_s(job, typical_s, now),
             options=dict(job.options),
             files=[RecordingOut.of(file) for file in job.files],
-            stages=[StageOut.of(stage) for stage in job.stages],
+            stages=[StageOut.of(stage, typical_s, now) for stage in job.stages],
             error=None if job.error is None else ErrorOut.model_validate(job.error),
             restarts=job.restarts,
             created_at=_time(job.created_at),

@@ -59,6 +59,13 @@ class _Line:
     state: str = "pending"
 
 
+def time_left(seconds: float) -> str:
+    """About so long, in a few letters: "40 s", "3 min", "2.5 h"."""
+    if seconds < 90.0:
+        return f"{seconds:.0f} s"
+    return f"{seconds / 60.0:.0f} min" if seconds < 5400.0 else f"{seconds / 3600.0:.1f} h"
+
+
 class StageDisplay:
     """A context manager that shows how the stages of one job are doing.
 
@@ -72,6 +79,7 @@ class StageDisplay:
             BarColumn(bar_width=24),
             TextColumn("{task.percentage:>3.0f}%"),
             TimeElapsedColumn(),
+            TextColumn("{task.fields[left]}"),
             TextColumn("[dim]{task.fields[message]}[/]"),
             console=console,
             disable=not console.is_terminal,
@@ -81,7 +89,9 @@ class StageDisplay:
     def __enter__(self) -> StageDisplay:
         self._progress.start()
         for name, spec in STAGES.items():
-            task = self._progress.add_task(spec.title, total=1.0, start=False, mark=_MARKS["pending"], message="")
+            task = self._progress.add_task(
+                spec.title, total=1.0, start=False, mark=_MARKS["pending"], message="", left=""
+            )
             self._lines[name] = _Line(task)
         return self
 
@@ -99,6 +109,7 @@ class StageDisplay:
         figures: Mapping[str, Any] | None = None,
         seconds: float | None = None,
         warnings: Sequence[StageWarning] = (),
+        remaining_s: float | None = None,
     ) -> None:
         """Show a stage's state ("pending", "running", "given", "succeeded", "reused", ...).
 
@@ -114,6 +125,7 @@ class StageDisplay:
             completed=1.0 if state in ("given", "succeeded", "reused") else fraction,
             mark=_MARKS.get(state, " "),
             message=shown,
+            left="" if ended or remaining_s is None else f"{time_left(remaining_s)} left",
         )
         if ended and line.state != state:
             self._progress.stop_task(line.task)

@@ -10,7 +10,7 @@ from rich.console import Console
 from rich.markup import escape
 from rich.table import Table
 
-from wibam_core.cli.display import list_table, print_list, print_warning
+from wibam_core.cli.display import list_table, print_list, print_warning, time_left
 from wibam_core.cli.run import parse_options
 from wibam_core.cli.service import DEFAULT_URL, JobDisplay, Token, Url, connect
 from wibam_core.cli.service import watch as watch_job
@@ -56,7 +56,7 @@ def show(job_id: JobId, url: Url = DEFAULT_URL, token: Token = "") -> None:
     for stage in job.stages:
         for warning in stage.warnings:
             print_warning(console, warning)
-    left = "" if job.remaining_s is None else f", about {job.remaining_s:.0f} s left"
+    left = "" if job.remaining_s is None else f", about {time_left(job.remaining_s)} left"
     console.print(f"{job.id}: {job.state}, {job.fraction:.0%} done{left}", highlight=False)
     if job.error is not None:
         console.print(f"[red]{escape(job.error.message)}[/] [dim]({job.error.code})[/]", highlight=False)

@@ -80,6 +80,7 @@ def run(
                 update.figures,
                 update.seconds,
                 update.warnings,
+                update.remaining_s,
             )
 
         result = run_pipeline(folder, store, config, show, until=until)

@@ -51,7 +51,7 @@ class JobDisplay:
             running = stage.state is StageState.RUNNING
             self._display.update(
                 stage.name, state, stage.fraction, stage.message if running else "", figures if running else None,
-                stage.seconds, stage.warnings,
+                stage.seconds, stage.warnings, stage.remaining_s if running else None,
             )  # fmt: skip
 
 

@@ -57,6 +57,7 @@ class StageView(_View):
     warnings: tuple[StageWarning, ...] = ()
     error: ProblemView | None = None
     seconds: float | None = None
+    remaining_s: float | None = None
 
 
 class JobView(_View):

@@ -6,8 +6,7 @@ from collections.abc import Iterable, Mapping
 
 from wibam_core.jobs.records import Job, StageRun
 from wibam_core.jobs.states import StageState
-
-_TRUSTED_FRACTION = 0.05  # below it, the elapsed time says too little
+from wibam_core.progress import remaining_s as at_this_pace_s
 
 
 def remaining_s(job: Job, typical_s: Mapping[str, float], now: float) -> float | None:
@@ -20,7 +19,7 @@ def remaining_s(job: Job, typical_s: Mapping[str, float], now: float) -> float |
     """
     if job.state.is_terminal:
         return None
-    return _total(_stage_remaining_s(stage, typical_s, now) for stage in job.stages)
+    return _total(stage_remaining_s(stage, typical_s, now) for stage in job.stages)
 
 
 def job_fraction(job: Job, typical_s: Mapping[str, float]) -> float:
@@ -32,16 +31,18 @@ def job_fraction(job: Job, typical_s: Mapping[str, float]) -> float:
     return sum(w * d for w, d in zip(weights, done, strict=True)) / sum(weights) if weights else 0.0
 
 
-def _stage_remaining_s(stage: StageRun, typical_s: Mapping[str, float], now: float) -> float | None:
+def stage_remaining_s(stage: StageRun, typical_s: Mapping[str, float], now: float) -> float | None:
+    """Seconds until one stage is done once it runs; see `remaining_s`."""
     if stage.state.is_terminal:
         return 0.0
     typical = typical_s.get(stage.name)
     if stage.state is not StageState.RUNNING or stage.started_at is None:
         return typical
     elapsed = now - stage.started_at
-    if stage.fraction >= _TRUSTED_FRACTION:
-        return max(elapsed * (1.0 - stage.fraction) / stage.fraction, 0.0)
-    return None if typical is None else max(typical - elapsed, 0.0)
+    left_s = at_this_pace_s(elapsed, stage.fraction)
+    if left_s is not None or typical is None:
+        return left_s
+    return max(typical - elapsed, 0.0)
 
 
 def _total(parts: Iterable[float | None]) -> float | None:

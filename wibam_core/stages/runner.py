@@ -14,7 +14,7 @@ from wibam_core.artifacts.access import ArtifactReader
 from wibam_core.config import PipelineConfig
 from wibam_core.documents.warnings import StageWarning
 from wibam_core.errors import MissingCamera, NotFound, SiteFileError, WibamError
-from wibam_core.progress import Progress
+from wibam_core.progress import Progress, remaining_s
 from wibam_core.site import Site
 from wibam_core.stages.assets import ASSETS
 from wibam_core.stages.base import Summary
@@ -86,7 +86,8 @@ class SiteFolder:
 class StageUpdate:
     """How a stage is doing. ``state`` is "running", "given", "reused", "succeeded" or "failed".
 
-    The last update of a stage has its warnings, those of one that failed, too.
+    The last update of a stage has its warnings, those of one that failed, too. ``remaining_s`` is how long
+    a running stage will still take, where enough is known.
     """
 
     stage: str
@@ -97,6 +98,7 @@ class StageUpdate:
     summary: Mapping[str, Any] = field(default_factory=dict)
     seconds: float = 0.0
     warnings: Sequence[StageWarning] = ()
+    remaining_s: float | None = None
 
 
 @dataclass(frozen=True)
@@ -109,8 +111,14 @@ class PipelineResult:
 
 
 def _progress_of(stage: str, listener: Callable[[StageUpdate], None]) -> Progress:
+    started = time.monotonic()
+
     def report(fraction: float, message: str = "", **figures: float) -> None:
-        listener(StageUpdate(stage, "running", fraction, message, figures))
+        nonlocal started
+        if fraction <= 0.0:  # what it has waited for others before says nothing of its pace
+            started = time.monotonic()
+        left_s = remaining_s(time.monotonic() - started, fraction)
+        listener(StageUpdate(stage, "running", fraction, message, figures, remaining_s=left_s))
 
     return report
 

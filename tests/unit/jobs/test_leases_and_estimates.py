@@ -4,7 +4,7 @@ import dataclasses
 
 import pytest
 
-from wibam_core.jobs.estimate import job_fraction, remaining_s
+from wibam_core.jobs.estimate import job_fraction, remaining_s, stage_remaining_s
 from wibam_core.jobs.leases import LeasePolicy
 from wibam_core.jobs.records import Job, Purpose, StageRun, StoredFile, Upload
 from wibam_core.jobs.states import JobState, StageState
@@ -54,6 +54,13 @@ class TestEstimates:
         running = stage("a", StageState.RUNNING, fraction=0.25, started_at=100.0)
         waiting = stage("b", StageState.PENDING)
         assert remaining_s(job(running, waiting), {"b": 7.0}, now=110.0) == pytest.approx(30.0 + 7.0)
+
+    def test_a_stage_tells_its_own_time_from_a_twentieth_on(self) -> None:
+        running = stage("a", StageState.RUNNING, fraction=0.2, started_at=100.0)
+        early = dataclasses.replace(running, fraction=0.04)
+        assert stage_remaining_s(running, {}, now=110.0) == pytest.approx(40.0)
+        assert stage_remaining_s(early, {}, now=110.0) is None
+        assert stage_remaining_s(early, {"a": 25.0}, now=110.0) == pytest.approx(15.0)
 
     def test_says_nothing_where_a_stage_was_never_seen(self) -> None:
         assert remaining_s(job(stage("a", StageState.PENDING)), {}, now=0.0) is None
