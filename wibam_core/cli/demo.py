@@ -26,7 +26,6 @@ from wibam_core.errors import Conflict
 from wibam_core.report.summary import summary
 from wibam_core.stages.runner import SiteFolder
 from wibam_core.synthetic.options import SimulationOptions
-from wibam_core.synthetic.recorder import record_site
 
 T = TypeVar("T")
 
@@ -121,6 +120,8 @@ def _remove(path: Path) -> None:
 
 
 def _record(folder: Path, options: SimulationOptions, console: Console) -> None:
+    from wibam_core.synthetic.recorder import record_site  # loading it takes a third of a second
+
     columns = (*Progress.get_default_columns(), TimeElapsedColumn())
     with Progress(*columns, console=console, disable=not console.is_terminal) as display:
         task = display.add_task("simulating", total=1.0)
