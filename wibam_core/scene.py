@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 from wibam_core.geometry.box3d import SIZE
 from wibam_core.geometry.camera import Camera
+from wibam_core.geometry.cut_view import CutView
 from wibam_core.road_users import CLASSES, RoadUserClass
 from wibam_core.site import MatrixCalibration, SignalRegion, SiteCamera
 
@@ -25,27 +26,52 @@ IntArray = NDArray[np.int64]
 
 @dataclass(frozen=True, eq=False)
 class CameraRig(Mapping[str, Camera]):
-    """The calibrated cameras of a site, by id. The first is the reference camera, whose clock is *the* clock."""
+    """The calibrated cameras of a site, by id. The first is the reference camera, whose clock is *the* clock.
 
-    cameras: Mapping[str, Camera]
+    As a mapping it holds the cameras whose pictures are looked at: those with a pinhole as they are, and instead of one
+    with a wide lens the views that are cut from its picture.
+
+    Attributes:
+        mounted: camera id -> the camera as it hangs at the site.
+        views: camera id -> the views of a camera with a wide lens.
+    """
+
+    mounted: Mapping[str, Camera]
+    views: Mapping[str, tuple[CutView, ...]] = field(default_factory=lambda: MappingProxyType({}))
+    _seen: Mapping[str, Camera] = field(init=False, repr=False)
+    _source: Mapping[str, str] = field(init=False, repr=False)
 
     def __post_init__(self) -> None:
-        if not self.cameras:
+        if not self.mounted:
             raise ValueError("a rig needs at least one camera")
-        object.__setattr__(self, "cameras", MappingProxyType(dict(self.cameras)))
+        seen: dict[str, Camera] = {}
+        source: dict[str, str] = {}
+        for camera_id, camera in self.mounted.items():
+            views = self.views.get(camera_id, ())
+            seen |= {view.id: view.camera(camera) for view in views} if views else {camera_id: camera}
+            source |= dict.fromkeys((view.id for view in views), camera_id)
+        object.__setattr__(self, "mounted", MappingProxyType(dict(self.mounted)))
+        object.__setattr__(self, "views", MappingProxyType(dict(self.views)))
+        object.__setattr__(self, "_seen", seen)
+        object.__setattr__(self, "_source", source)
 
     def __getitem__(self, camera_id: str) -> Camera:
-        return self.cameras[camera_id]
+        return self._seen[camera_id]
 
     def __iter__(self) -> Iterator[str]:
-        return iter(self.cameras)
+        return iter(self._seen)
 
     def __len__(self) -> int:
-        return len(self.cameras)
+        return len(self._seen)
 
     @property
     def reference_id(self) -> str:
-        return next(iter(self.cameras))
+        """The mounted camera whose clock is the reference."""
+        return next(iter(self.mounted))
+
+    def mounted_id(self, camera_id: str) -> str:
+        """The camera that a view is cut from; a camera with a pinhole itself."""
+        return self._source.get(camera_id, camera_id)
 
 
 def site_camera(camera_id: str, camera: Camera, signals: tuple[SignalRegion, ...] = ()) -> SiteCamera:
@@ -54,6 +80,8 @@ def site_camera(camera_id: str, camera: Camera, signals: tuple[SignalRegion, ...
     calibration = MatrixCalibration(
         K=tuple(tuple(row) for row in camera.K.tolist()),
         dist=tuple(camera.dist.tolist()),
+        lens=camera.lens,
+        xi=camera.xi,
         rvec=tuple(rvec.tolist()),
         tvec=tuple(tvec.tolist()),
     )

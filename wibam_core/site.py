@@ -24,6 +24,9 @@ Number = Annotated[float, Field(ge=-1e10, le=1e10)]
 Row3 = tuple[Number, Number, Number]
 #: Distortion coefficients in OpenCV's order, which has 14 at most.
 Distortion = Annotated[tuple[Number, ...], Field(max_length=14), FailFast()]
+#: How a lens maps directions to pixels: OpenCV's pinhole with distortion, its fisheye (``cv2.fisheye``), or its
+#: omnidirectional one (``cv2.omnidir``).
+Lens = Literal["pinhole", "fisheye", "omnidirectional"]
 
 
 class _Model(BaseModel):
@@ -51,22 +54,27 @@ class Correspondence(_Model):
 Correspondences = Annotated[tuple[Correspondence, ...], Field(max_length=10_000), FailFast()]
 
 
-class MatrixCalibration(_Model):
+class _Intrinsics(_Model):
+    """K and the lens. ``dist`` is in OpenCV's order for this lens, ``xi`` that of an omnidirectional one."""
+
+    K: tuple[Row3, Row3, Row3]
+    dist: Distortion = ()
+    lens: Lens = "pinhole"
+    xi: float = Field(default=0.0, ge=0, le=10)
+
+
+class MatrixCalibration(_Intrinsics):
     """Ready matrices. ``rvec`` and ``tvec`` are OpenCV's (world to camera, m)."""
 
     kind: Literal["matrices"] = "matrices"
-    K: tuple[Row3, Row3, Row3]
-    dist: Distortion = ()
     rvec: Row3
     tvec: Row3
 
 
-class PnPCalibration(_Model):
+class PnPCalibration(_Intrinsics):
     """Known intrinsics; the pose is solved by perspective-n-point."""
 
     kind: Literal["pnp"] = "pnp"
-    K: tuple[Row3, Row3, Row3]
-    dist: Distortion = ()
     correspondences: Correspondences
 
 
@@ -80,14 +88,38 @@ class HomographyCalibration(_Model):
 Calibration = Annotated[MatrixCalibration | PnPCalibration | HomographyCalibration, Field(discriminator="kind")]
 
 
+class ViewDirection(_Model):
+    """A pinhole view to cut from the picture of a wide lens.
+
+    Attributes:
+        azimuth_deg: where its middle looks over the ground, about the world's +Z, counter-clockwise from +X.
+        down_deg: how far its middle looks below the horizon.
+        across_deg, height_deg: the angles that it spans.
+    """
+
+    azimuth_deg: float = Field(ge=-360, le=360)
+    down_deg: float = Field(default=35.0, ge=-30, le=89)
+    across_deg: float = Field(default=90.0, ge=20, le=120)
+    height_deg: float = Field(default=70.0, ge=20, le=110)
+
+
 class SiteCamera(_Model):
-    """One camera. ``width_px`` and ``height_px`` are the size that calibration and regions refer to."""
+    """One camera. ``width_px`` and ``height_px`` are the size that calibration and regions refer to.
+
+    ``views`` are those to cut from the picture of a wide lens; left out, they are chosen.
+    """
 
     id: CameraId
     width_px: int = Field(gt=0, le=16384)
     height_px: int = Field(gt=0, le=16384)
     calibration: Calibration
     signals: Annotated[tuple[SignalRegion, ...], Field(max_length=64), FailFast()] = ()
+    views: Annotated[tuple[ViewDirection, ...], Field(max_length=8), FailFast()] = ()
+
+    @property
+    def is_wide(self) -> bool:
+        """Whether its lens is no pinhole."""
+        return not isinstance(self.calibration, HomographyCalibration) and self.calibration.lens != "pinhole"
 
 
 class Origin(_Model):
@@ -135,6 +167,12 @@ class Site(_Model):
         for camera in self.cameras:
             if not isinstance(camera.calibration, HomographyCalibration):
                 _check_focal_length(camera.id, camera.calibration.K)
+            if camera.views and not camera.is_wide:
+                raise SiteFileError(
+                    f"camera {camera.id}: views are cut from the pictures of wide lenses, and its lens is a pinhole",
+                    hint='Leave views out, or say "lens": "fisheye" in its calibration.',
+                    camera=camera.id,
+                )
             for signal in camera.signals:
                 _check_text(signal.id, f"camera {camera.id}: the id of a signal", camera=camera.id)
                 _check_region(camera, signal)

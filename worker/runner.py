@@ -264,7 +264,7 @@ class StageRunner:
 
     def _request(self, job: Job, stage: StageRun, attempt: Attempt) -> StageRequest:
         upstream: dict[str, Path] = {}
-        for name in STAGES[stage.name].requires:
+        for name in STAGES[stage.name].requires_of(job.site):
             required = job.stage(name)
             folder = self._store.find(name, required.hash) if required is not None else None
             if folder is None:

@@ -92,7 +92,7 @@ def scene(job_id: str, services: ServicesDep) -> SceneOut:
     stored = {} if store is None else {camera_id: store.size(camera_id) for camera_id in store.camera_ids}
     return SceneOut(
         name=job.site.name,
-        reference=rig.reference_id,
+        reference=next(iter(rig)),  # a view, where the lens of the reference camera is wide
         cameras=[scene_camera(camera_id, camera, stored.get(camera_id)) for camera_id, camera in rig.items()],
         classes=[
             SceneClassOut(

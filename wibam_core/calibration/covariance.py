@@ -98,11 +98,12 @@ def camera_covariance(camera: Camera, world: Array, pixels: Array, *, solved_foc
 def _jacobian(camera: Camera, world: Array) -> Array:
     """(2N, 9) derivatives of the pixels of points (N, 3) by rotation, position, log focal length, principal point."""
     cam = camera.to_camera(world)
+    away = np.linalg.norm(cam, axis=1, keepdims=True) if camera.is_wide else cam[:, 2:3]
     by_cam = np.empty((len(cam), 2, 3))
     for axis in range(3):
-        step = _STEP * cam[:, 2:3] * np.eye(3)[axis]
+        step = _STEP * away * np.eye(3)[axis]
         ahead, behind = camera.project_camera_points(cam + step), camera.project_camera_points(cam - step)
-        by_cam[:, :, axis] = (ahead - behind) / (2 * _STEP * cam[:, 2:3])
+        by_cam[:, :, axis] = (ahead - behind) / (2 * _STEP * away)
     x, y, z = cam.T
     zero = np.zeros(len(cam))
     # turning the camera by w moves a point by −w × p, which is [p]× w

@@ -13,6 +13,7 @@ from wibam_core.documents.warnings import Caution
 from wibam_core.errors import CalibrationError
 from wibam_core.geometry.camera import Camera
 from wibam_core.geometry.se3 import SE3
+from wibam_core.site import Lens
 
 Array = NDArray[np.float64]
 
@@ -20,6 +21,8 @@ Array = NDArray[np.float64]
 _LONGEST_ROTATION_RAD = 2 * np.pi
 #: Focal lengths beyond these multiples of the image's longer side are no traffic camera's.
 _FOCAL_RANGE = (0.2, 30.0)
+#: The same of wide lenses: a fisheye whose circle fills a third of the picture, and one that is cut from its middle.
+_WIDE_FOCAL_RANGE = (0.05, 30.0)
 #: How far off the middle of the image principal points are, at most, as shares of its width and height.
 _OFF_CENTRE = 0.1
 #: Sizes of pictures are multiples of this.
@@ -34,17 +37,26 @@ _TRUSTED_RADIUS = 0.75
 
 
 def camera_from_matrices(
-    K: ArrayLike, dist: ArrayLike, rvec: ArrayLike, tvec: ArrayLike, width_px: int, height_px: int
+    K: ArrayLike,
+    dist: ArrayLike,
+    rvec: ArrayLike,
+    tvec: ArrayLike,
+    width_px: int,
+    height_px: int,
+    lens: Lens = "pinhole",
+    xi: float = 0.0,
 ) -> Camera:
     """A camera from OpenCV's matrices.
 
     Args:
         K: (3, 3).
-        dist: (n,) in OpenCV order.
+        dist: (n,) in OpenCV order for the lens.
         rvec: (3,) Rodrigues vector, world to camera.
         tvec: (3,) m, world to camera.
         width_px: image width.
         height_px: image height.
+        lens: see `Camera`.
+        xi: see `Camera`.
 
     Raises:
         CalibrationError: if they make no camera, or none that looks at the ground from above.
@@ -56,7 +68,7 @@ def camera_from_matrices(
             hint="rvec is OpenCV's Rodrigues vector in radians: are these degrees, or angles about single axes?",
         )
     T_cam_world = SE3.from_rvec_tvec(rvec, tvec)
-    camera = build_camera(K, dist, T_cam_world.inverse(), width_px, height_px)
+    camera = build_camera(K, dist, T_cam_world.inverse(), width_px, height_px, lens, xi)
     if is_plausible(camera):
         return camera
     hint = _meant(camera, T_cam_world)
@@ -81,7 +93,15 @@ def _meant(camera: Camera, given: SE3) -> str | None:
     return fitting[0] if len(fitting) == 1 else None
 
 
-def build_camera(K: ArrayLike, dist: ArrayLike, T_world_cam: SE3, width_px: int, height_px: int) -> Camera:
+def build_camera(
+    K: ArrayLike,
+    dist: ArrayLike,
+    T_world_cam: SE3,
+    width_px: int,
+    height_px: int,
+    lens: Lens = "pinhole",
+    xi: float = 0.0,
+) -> Camera:
     """A `Camera`, with the user's mistakes as `CalibrationError`.
 
     Raises:
@@ -89,14 +109,19 @@ def build_camera(K: ArrayLike, dist: ArrayLike, T_world_cam: SE3, width_px: int,
             tilted against the lens, or the distortion cannot be undone in all of the image.
     """
     coefficients = np.asarray(dist, dtype=np.float64).reshape(-1)
-    if coefficients.size == 14 and coefficients[12:].any():
+    if lens == "pinhole" and coefficients.size == 14 and coefficients[12:].any():
         raise CalibrationError(
             "the lens model has a tilted sensor (distortion coefficients 13 and 14), which is not supported",
             hint="Calibrate again without cv2.CALIB_TILTED_MODEL, or undistort the recording first.",
         )
-    _check_layout(np.asarray(K, dtype=np.float64), width_px, height_px)
+    _check_layout(
+        np.asarray(K, dtype=np.float64),
+        width_px,
+        height_px,
+        _FOCAL_RANGE if lens == "pinhole" else _WIDE_FOCAL_RANGE,
+    )
     try:
-        camera = Camera(np.asarray(K), coefficients, T_world_cam, width_px, height_px)
+        camera = Camera(np.asarray(K), coefficients, T_world_cam, width_px, height_px, lens, xi)
     except ValueError as error:
         raise CalibrationError(f"the intrinsics make no camera: {error}", hint=_INTRINSICS_HINT) from error
     cx, cy = camera.K[0, 2] / width_px, camera.K[1, 2] / height_px
@@ -106,11 +131,14 @@ def build_camera(K: ArrayLike, dist: ArrayLike, T_world_cam: SE3, width_px: int,
             f"{width_px}x{height_px} px",
             hint=_INTRINSICS_HINT,
         )
-    _check_lens(camera)
+    if camera.is_wide:
+        _check_wide_lens(camera)
+    else:
+        _check_lens(camera)
     return camera
 
 
-def _check_layout(K: Array, width_px: int, height_px: int) -> None:
+def _check_layout(K: Array, width_px: int, height_px: int, focal_range: tuple[float, float]) -> None:
     """Raises:
     CalibrationError: K is transposed, or its focal lengths are in another unit than pixels.
     """
@@ -120,7 +148,7 @@ def _check_layout(K: Array, width_px: int, height_px: int) -> None:
         )
     longer = max(width_px, height_px)
     focal = np.diagonal(K)[:2]
-    if ((focal > 0) & (focal < _FOCAL_RANGE[0] * longer)).any() or (focal > _FOCAL_RANGE[1] * longer).any():
+    if ((focal > 0) & (focal < focal_range[0] * longer)).any() or (focal > focal_range[1] * longer).any():
         raise CalibrationError(
             f"the focal lengths in K, {focal[0]:g} and {focal[1]:g}, are no traffic camera's at {width_px}x{height_px} "
             "px",
@@ -203,10 +231,35 @@ def _check_lens(camera: Camera, steps: int = 41) -> None:
     share = np.linalg.norm(pixels - middle, axis=1) / np.hypot(camera.width_px / 2, camera.height_px / 2)
     if (bad & (share <= _TRUSTED_RADIUS)).any():
         worst = int(np.nan_to_num(error_px, nan=np.inf).argmax())
+        other = ' If these are coefficients of cv2.fisheye, say "lens": "fisheye".' if camera.dist.size == 4 else ""
         raise CalibrationError(
             f"the distortion cannot be undone in {np.ceil(100 * bad.mean()):.0f}% of the image: pixel "
             f"({pixels[worst, 0]:.1f}, {pixels[worst, 1]:.1f}) comes back {error_px[worst]:.1f} px away",
             hint="Give coefficients that are valid over the whole image (calibrate with points out to its corners), "
-            "undistort the recording first, or crop it to the part they are valid for.",
+            f"undistort the recording first, or crop it to the part they are valid for.{other}",
             pixel=pixels[worst].tolist(),
+        )
+
+
+def _check_wide_lens(camera: Camera, steps: int = 41) -> None:
+    """Refuse a wide lens that folds back within the circle that touches the image's nearer borders.
+
+    The picture of a fisheye often ends before the image's corners do.
+
+    Raises:
+        CalibrationError: naming the angle at which it does.
+    """
+    half = min(camera.width_px, camera.height_px) / 2
+    angles = np.linspace(0, 2 * np.pi, steps)
+    middle = np.array([camera.width_px - 1, camera.height_px - 1]) / 2
+    circle = middle + _TRUSTED_RADIUS * half * np.stack([np.cos(angles), np.sin(angles)], axis=1)
+    shown = np.isfinite(camera.rays(circle)).all(axis=1)
+    if not shown.all():
+        u, v = circle[~shown][0]
+        raise CalibrationError(
+            f"the lens model ends {np.degrees(camera.wide_lens.limit_rad):.0f}° from its axis, and shows nothing at "
+            f"{int((~shown).sum())} of {steps} places around the middle of the image, e.g. ({u:.0f}, {v:.0f})",
+            hint="Are K, dist and xi those of this lens model, and K that of the recording's size? dist of a fisheye "
+            "is k1, k2, k3, k4, of an omnidirectional lens k1, k2, p1, p2.",
+            pixel=[float(u), float(v)],
         )

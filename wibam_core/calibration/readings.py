@@ -9,18 +9,18 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 
-import cv2
 import numpy as np
 from numpy.typing import NDArray
 
 from wibam_core.calibration.covariance import CameraCovariance, camera_covariance
 from wibam_core.calibration.homography import solve_ground_camera
 from wibam_core.calibration.matrices import build_camera, size_of_intrinsics
-from wibam_core.calibration.pnp import solve_pose
+from wibam_core.calibration.pnp import solve_pose, solve_wide_pose
 from wibam_core.calibration.view import is_plausible
 from wibam_core.errors import CalibrationError
 from wibam_core.geometry.camera import Camera
 from wibam_core.geometry.se3 import SE3
+from wibam_core.site import Lens
 
 Array = NDArray[np.float64]
 
@@ -44,6 +44,7 @@ class Sighting:
         width_px, height_px: image size.
         K: (3, 3), or None where the focal length is to be solved from points on the ground.
         dist: (n,) in OpenCV order.
+        lens_model, xi: see `Camera`.
     """
 
     world: Array
@@ -52,6 +53,8 @@ class Sighting:
     height_px: int
     K: Array | None
     dist: Array
+    lens_model: Lens = "pinhole"
+    xi: float = 0.0
 
     def lens(self, K: Array) -> Camera:
         """A camera with these intrinsics, at the world's origin.
@@ -59,7 +62,8 @@ class Sighting:
         Raises:
             CalibrationError: they make none.
         """
-        return build_camera(K, self.dist, SE3.identity(), self.width_px, self.height_px)
+        size_px = self.width_px, self.height_px
+        return build_camera(K, self.dist, SE3.identity(), *size_px, self.lens_model, self.xi)
 
     def solve(self) -> tuple[Camera, NDArray[np.bool_]]:
         """The camera, and which points (N,) it rests on.
@@ -71,7 +75,10 @@ class Sighting:
             fit = solve_ground_camera(self.world[:, :2], self.pixels, self.width_px, self.height_px)
             return fit.camera, fit.used
         lens = self.lens(self.K)
-        pose = solve_pose(self.world, self.pixels, lens.K, lens.dist)
+        if lens.is_wide:
+            pose = solve_wide_pose(self.world, self.pixels, lens)
+        else:
+            pose = solve_pose(self.world, self.pixels, lens.K, lens.dist)
         return replace(lens, T_world_cam=pose.T_world_cam), pose.used
 
     def covariance(self, camera: Camera, used: NDArray[np.bool_]) -> CameraCovariance | None:
@@ -160,20 +167,27 @@ def _of_intrinsics(given: Sighting, K: Array) -> Iterator[tuple[Reading, Sightin
             ),
             replace(given, pixels=np.stack([(given.pixels[:, 0] + 0.5) * width - 0.5, given.pixels[:, 1]], axis=1)),
         )
-    if given.dist.any():
+    if given.dist.any() or given.lens_model != "pinhole":
         yield (
             Reading(
-                "the points fit a lens without distortion", "Leave dist out: the recording seems undistorted already."
+                "the points fit a lens without distortion",
+                "Leave dist out, and lens: the recording seems undistorted already.",
             ),
-            replace(given, dist=np.zeros(0)),
+            replace(given, dist=np.zeros(0), lens_model="pinhole", xi=0.0),
         )
-    if given.dist.size == 4 and given.dist.any():
-        rays = cv2.fisheye.undistortPoints(given.pixels[None], K, given.dist)[0]
+    if given.dist.size in (0, 4) and given.lens_model != "fisheye":
         yield (
             Reading(
-                "dist looks like coefficients of cv2.fisheye, which mean another lens model",
-                "dist is in OpenCV's order for pinhole cameras (k1, k2, p1, p2, ...): undistort the recording with "
-                "cv2.fisheye first, and give K of the result.",
+                "K and dist look like those of cv2.fisheye, which is another lens model",
+                'Say "lens": "fisheye" beside K and dist.',
             ),
-            replace(given, pixels=rays @ K[:2, :2].T + K[:2, 2], dist=np.zeros(0)),
+            replace(given, lens_model="fisheye", xi=0.0),
+        )
+    if given.dist.size == 4 and given.dist.any() and given.lens_model == "fisheye":
+        yield (
+            Reading(
+                "dist looks like OpenCV's coefficients for pinhole cameras, not like those of cv2.fisheye",
+                "Leave lens out: dist is then read as k1, k2, p1, p2.",
+            ),
+            replace(given, lens_model="pinhole"),
         )

@@ -106,6 +106,7 @@ class Residuals:
         rms = float(np.sqrt(np.nanmean(self.error_px**2))) if len(self.error_px) else None
         return CameraResiduals(
             kind=self.kind,
+            lens=self.camera.lens,
             position_m=self.camera.centre_m.tolist(),
             focal_px=[float(self.camera.K[0, 0]), float(self.camera.K[1, 1])],
             position_sd_m=None if self.covariance is None else self.covariance.position_sd_m,

@@ -13,6 +13,7 @@ from wibam_core.calibration.points import check_on_ground, check_points, level_c
 from wibam_core.calibration.readings import Reading, Sighting, better_reading
 from wibam_core.calibration.residuals import Residuals, fit_cautions, misfit_problem
 from wibam_core.calibration.view import GROUND_RANGE_M, check_view, view_cautions, visible_ground
+from wibam_core.calibration.views import views_of_site
 from wibam_core.config import CalibrateConfig
 from wibam_core.documents.warnings import Caution
 from wibam_core.errors import CalibrationError, NoOverlap
@@ -35,7 +36,8 @@ def calibrate(site: Site, config: CalibrateConfig) -> tuple[CameraRig, dict[str,
     """Solve every camera of a site.
 
     Returns:
-        the rig, and per camera the residuals of its calibration with what is doubtful about it.
+        the rig, with the views that are cut from the pictures of wide lenses, and per camera the residuals of its
+        calibration with what is doubtful about it.
 
     Raises:
         CalibrationError: naming the camera that cannot be solved, or whose median error exceeds the limit.
@@ -50,7 +52,7 @@ def calibrate(site: Site, config: CalibrateConfig) -> tuple[CameraRig, dict[str,
             raise CalibrationError(f"camera {camera.id}: {error.message}", hint=error.hint, **details) from error
     rig = CameraRig({camera_id: result.camera for camera_id, result in residuals.items()})
     check_overlap(rig)
-    return rig, residuals
+    return CameraRig(rig.mounted, views_of_site(site, rig.mounted)), residuals
 
 
 def solve_camera(camera: SiteCamera, config: CalibrateConfig) -> Residuals:
@@ -62,13 +64,15 @@ def solve_camera(camera: SiteCamera, config: CalibrateConfig) -> Residuals:
     given = camera.calibration
     width_px, height_px = camera.width_px, camera.height_px
     if isinstance(given, MatrixCalibration):
-        solved = camera_from_matrices(given.K, given.dist, given.rvec, given.tvec, width_px, height_px)
+        pose = given.rvec, given.tvec
+        solved = camera_from_matrices(given.K, given.dist, *pose, width_px, height_px, given.lens, given.xi)
         cautions = [*intrinsics_cautions(solved), *view_cautions(solved)]
         return Residuals.of(given.kind, solved, np.zeros((0, 3)), np.zeros((0, 2)), cautions=cautions)
     world, pixels = _arrays(given.correspondences)
     beside = _check_pixels(pixels, width_px, height_px)
     if isinstance(given, PnPCalibration):
-        sighting = Sighting(world, pixels, width_px, height_px, np.array(given.K), np.array(given.dist))
+        lens = np.array(given.K), np.array(given.dist), given.lens, given.xi
+        sighting = Sighting(world, pixels, width_px, height_px, *lens)
     else:
         check_on_ground(world, _GROUND_TOLERANCE_M)
         sighting = Sighting(world, pixels, width_px, height_px, None, np.zeros(0))
@@ -84,7 +88,7 @@ def _solved(kind: str, sighting: Sighting, max_error_px: float) -> Residuals:
     """
     check_points(sighting.world, sighting.pixels)  # what this and the lens say is plain; other readings are not sought
     if sighting.K is not None:
-        sighting.lens(sighting.K)
+        _check_shown(sighting.lens(sighting.K), sighting.pixels)
     try:
         camera, used = sighting.solve()
     except CalibrationError as error:
@@ -148,6 +152,22 @@ def _check_pixels(pixels: Array, width_px: int, height_px: int) -> list[Caution]
     if beyond.max() > _BESIDE * max(width_px, height_px):
         raise CalibrationError(message, hint=hint)
     return [Caution(code="pixels_outside", message=message, hint=hint, details={"pixels": int(outside.sum())})]
+
+
+def _check_shown(lens: Camera, pixels: Array) -> None:
+    """Raises:
+    CalibrationError: a wide lens shows nothing at some of the pixels (N, 2).
+    """
+    if not lens.is_wide:
+        return
+    dark = ~np.isfinite(lens.rays(pixels)).all(axis=1)
+    if dark.any():
+        u, v = pixels[dark][0]
+        raise CalibrationError(
+            f"the lens shows nothing at {int(dark.sum())} of {len(pixels)} pixels, e.g. ({u:.0f}, {v:.0f}): its model "
+            f"ends {np.degrees(lens.wide_lens.limit_rad):.0f}° from its axis",
+            hint="Check these pixels, and that K, dist and lens belong together.",
+        )
 
 
 def check_overlap(rig: CameraRig) -> None:

@@ -64,12 +64,12 @@ def check_view(camera: Camera) -> None:
 
 
 def is_plausible(camera: Camera) -> bool:
-    """Whether a camera can look at a road so, and is upright."""
+    """Whether a camera can look at a road so, and is upright. A wide lens needs not be: its views are cut upright."""
     try:
         check_view(camera)
     except CalibrationError:
         return False
-    return abs(_roll_rad(camera)) < np.pi / 4
+    return camera.is_wide or abs(_roll_rad(camera)) < np.pi / 4
 
 
 def view_cautions(camera: Camera) -> list[Caution]:
@@ -95,7 +95,7 @@ def view_cautions(camera: Camera) -> list[Caution]:
             )
         )
     roll_deg = float(np.degrees(_roll_rad(camera)))
-    if abs(roll_deg) > 45.0:
+    if abs(roll_deg) > 45.0 and not camera.is_wide:
         found.append(
             Caution(
                 code="rolled_camera",

@@ -36,6 +36,7 @@ def simulate(
     ] = _DEFAULTS.traffic_density,
     parked: Annotated[int, typer.Option(help="Vehicles parked beside the road.")] = _DEFAULTS.parked,
     distortion: Annotated[bool, typer.Option(help="Mild barrel distortion in every lens.")] = _DEFAULTS.distortion,
+    lens: Annotated[str, typer.Option(help="'pinhole', 'fisheye' or 'omnidirectional'.")] = _DEFAULTS.lens,
     cycle: Annotated[float, typer.Option(help="Length of the signal cycle in seconds.")] = _DEFAULTS.cycle_s,
     max_offset: Annotated[
         float, typer.Option(help="Recordings start at most so many seconds apart.")
@@ -61,6 +62,7 @@ def simulate(
         "traffic_density": density,
         "parked": parked,
         "distortion": distortion,
+        "lens": lens,
         "cycle_s": cycle,
         "max_offset_s": max_offset,
         "max_drift_ppm": max_drift,

@@ -23,6 +23,7 @@ from wibam_core.formats.rig import read_rig
 from wibam_core.formats.tracks import write_tracks
 from wibam_core.geometry.box3d import SIZE, XY
 from wibam_core.geometry.camera import Camera
+from wibam_core.geometry.cut_view import CutView
 from wibam_core.models.weights import bundled
 from wibam_core.networks.registry import family_of, load_to_detect
 from wibam_core.scene import Track
@@ -57,6 +58,7 @@ def track(
     """Track vehicles in one camera's recording, on the ground."""
     console = Console()
     info = probe(video)
+    views: tuple[CutView, ...] = ()
     if calibration is None:
         console.print(
             "[yellow]uncalibrated[/]: the camera is a guess (6 m high, 58° wide), so that metres are nominal. "
@@ -65,7 +67,7 @@ def track(
         )
         seen_by = nominal_camera(info.width_px, info.height_px, horizon_px=horizon)
     else:
-        seen_by = _calibrated(calibration, camera, info)
+        seen_by, views = _calibrated(calibration, camera, info)
     network = load_to_detect(weights or bundled("mono_small.safetensors"), torch.device("cpu"))
     card = network.card
     if weights is None and calibration is not None:  # edges tell where a vehicle is if it is known whence they are seen
@@ -77,25 +79,28 @@ def track(
         console.print(advice, highlight=False)
     config = TrackConfig(rate_hz=rate, min_score=min_score)
     images = _images(video, info, rate, console)
-    tracks = track_recording(network, images, seen_by, config, decode=card.decode, factors=SdFactors(**card.sd_factors))
+    tracks = track_recording(
+        network, images, seen_by, config, decode=card.decode, factors=SdFactors(**card.sd_factors), views=views
+    )
     write_tracks(out, tracks)
     console.print(_table(tracks, "nominal m" if calibration is None else "m"))
     console.print(f"{len(tracks)} tracks: [bold]{out}[/]", highlight=False)
 
 
-def _calibrated(path: Path, camera_id: str | None, info: VideoInfo) -> Camera:
+def _calibrated(path: Path, camera_id: str | None, info: VideoInfo) -> tuple[Camera, tuple[CutView, ...]]:
+    """The camera, and, where its lens is wide, the views to cut from its pictures."""
     rig = read_rig(path)
     chosen = camera_id or rig.reference_id
-    if chosen not in rig:
-        raise MissingCamera(f"{path.name} has no camera {chosen}", hint=f"It has {', '.join(rig)}.")
-    camera = rig[chosen]
+    if chosen not in rig.mounted:
+        raise MissingCamera(f"{path.name} has no camera {chosen}", hint=f"It has {', '.join(rig.mounted)}.")
+    camera = rig.mounted[chosen]
     if abs(camera.width_px / camera.height_px * info.height_px / info.width_px - 1) > _MAX_ASPECT_DIFFERENCE:
         raise CalibrationError(
             f"camera {chosen} was calibrated at {camera.width_px}x{camera.height_px} px, but the recording has "
             f"{info.width_px}x{info.height_px} px",
             hint="Use the calibration of this recording's aspect ratio.",
         )
-    return camera
+    return camera, rig.views.get(chosen, ())
 
 
 def _images(video: Path, info: VideoInfo, rate: float, console: Console) -> Iterator[tuple[int, NDArray[np.uint8]]]:

@@ -39,6 +39,8 @@ class CameraResiduals(Document):
 
     kind: str
     """"matrices", "pnp" or "homography"."""
+    lens: str = "pinhole"
+    """"pinhole", "fisheye" or "omnidirectional"."""
     position_m: list[float]
     """x, y, z of the camera in the world."""
     focal_px: list[float]

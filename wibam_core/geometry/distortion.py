@@ -23,6 +23,9 @@ from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
 
+#: Points farther out than this multiple of the image's farthest point are not distorted any further: the coefficients
+#: were measured within the image, and a polynomial is anyone's guess beyond what it was fitted to.
+TRUSTED_SHARE = 1.3
 #: Coefficients of the formula, in OpenCV's order: k1, k2, p1, p2, k3, k4, k5, k6, s1, s2, s3, s4.
 COEFFICIENTS = 12
 #: The map counts as monotone where no direction is compressed to less than this share, nor any stretched by more than

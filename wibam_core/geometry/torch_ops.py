@@ -40,7 +40,13 @@ class CameraTensors:
     def from_cameras(
         cls, cameras: Sequence[Camera], dtype: torch.dtype = torch.float32, device: torch.device | str = "cpu"
     ) -> CameraTensors:
-        """Stack cameras."""
+        """Stack cameras with pinholes.
+
+        Raises:
+            ValueError: one has a wide lens; networks see its views.
+        """
+        if any(camera.is_wide for camera in cameras):
+            raise ValueError("a wide lens is no pinhole: give the views that are cut from its picture")
 
         def stack(values: list[list[float]]) -> Tensor:
             return torch.tensor(values, dtype=torch.float64).to(device=device, dtype=dtype)

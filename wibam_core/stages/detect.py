@@ -16,6 +16,7 @@ from wibam_core.artifacts.catalogue import (
     DETECTION_STATISTICS,
     DETECTIONS,
     FRAMES,
+    RIG,
     SEARCHED_INSTANTS,
     TIMESTAMPS,
 )
@@ -24,6 +25,7 @@ from wibam_core.detection.background import BackgroundFrames
 from wibam_core.detection.detector import BUNDLED, load_detector
 from wibam_core.detection.family import Detector
 from wibam_core.detection.instants import annotated, frames_of
+from wibam_core.detection.one_per_camera import seen_once
 from wibam_core.detection.statistics import detection_statistics
 from wibam_core.errors import InputError, NoVehicles
 from wibam_core.formats.framestore import FrameStore
@@ -39,6 +41,8 @@ _CHUNK = 64
 def run(context: StageContext, config: DetectConfig) -> Summary:
     """Write what is seen in the frames of the instants, thinned to ``config.rate_hz``. Only new ones are searched.
 
+    Views of a wide lens are searched one by one; what two of one camera show is kept in the one that shows it best.
+
     That is `DETECTIONS`, 2D boxes by frame, `SEARCHED_INSTANTS`, which of the instants they belong to,
     `DETECTION_STATISTICS`, and, where boxes were looked at a second time, `BACKGROUND_DETECTIONS`.
 
@@ -51,11 +55,16 @@ def run(context: StageContext, config: DetectConfig) -> Summary:
     refined = config.refine == "on" or (config.refine == "auto" and config.detector == "bundled")
     instants = store.thinned(config.rate_hz)
     frames = frames_of(instants)
+    rig = context.read(RIG) if any(camera.is_wide for camera in context.site.cameras) else None
     shown, of_backgrounds = {}, []
     if refined:
         times_ns = context.read(TIMESTAMPS)
         shown = {
-            camera_id: BackgroundFrames(times_ns[camera_id], store.stored_ns(camera_id), config.background_s)
+            camera_id: BackgroundFrames(
+                times_ns[camera_id if rig is None else rig.mounted_id(camera_id)],
+                store.stored_ns(camera_id),
+                config.background_s,
+            )
             for camera_id in store.camera_ids
         }
         of_backgrounds = background_frames(frames, shown)
@@ -71,6 +80,8 @@ def run(context: StageContext, config: DetectConfig) -> Summary:
         context.write(BACKGROUND_DETECTIONS, {frame: looks[frame] for frame in of_backgrounds})
         seen = known | dict(look_again(store, missing, looks, shown, config, part(context.progress, 0.5, 1.0)))
     detected = {frame: seen[frame] for frame in frames}
+    if rig is not None:
+        detected = seen_once(detected, rig)
     context.progress(1.0, f"{len(missing)} of {len(frames)} frames were new")
     context.write(DETECTIONS, detected)
     context.write(SEARCHED_INSTANTS, instants)

@@ -22,6 +22,7 @@ from wibam_core.errors import TooFewInstants
 from wibam_core.evaluation.evaluate import Evaluation, evaluate
 from wibam_core.evaluation.instants import evaluated_instants, exposure_times
 from wibam_core.evaluation.labels_at import LabelTimeline
+from wibam_core.evaluation.labels_of_views import labels_of_views
 from wibam_core.evaluation.reliability import reliability
 from wibam_core.evaluation.self_consistency import self_consistency
 from wibam_core.evaluation.significance import significance
@@ -80,7 +81,9 @@ def run(context: StageContext, config: EvaluateConfig) -> Summary:
         InvalidLabels: the labels cannot be read.
     """
     rig, store = context.read(RIG), context.read(FRAMES)
-    labels = LabelTimeline(read_labels(context.assets["labels"])) if "labels" in context.assets else None
+    labels = None
+    if "labels" in context.assets:
+        labels = LabelTimeline(labels_of_views(read_labels(context.assets["labels"]), rig))
     instants = _test_instants(context, store, labels)
     tuned = load_to_detect(context.read(WEIGHTS))
     card, factors = tuned.card, SdFactors(**tuned.card.sd_factors)

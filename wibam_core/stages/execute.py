@@ -77,7 +77,7 @@ class StageRequest(BaseModel):
             config=config,
             recordings=dict(recordings),
             assets={name: assets[name] for name in spec.assets_read(config) if name in assets},
-            upstream={name: upstream[name] for name in spec.requires},
+            upstream={name: upstream[name] for name in spec.requires_of(site)},
             earlier=attempt.earlier,
             output=attempt.output,
             scratch=attempt.scratch,

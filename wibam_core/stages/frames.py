@@ -14,13 +14,15 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from wibam_core.artifacts.catalogue import CLOCKS, FRAMES, LIMITS, PROBE, TIMESTAMPS
+from wibam_core.artifacts.catalogue import CLOCKS, FRAMES, LIMITS, PROBE, RIG, TIMESTAMPS
 from wibam_core.config import FramesConfig
 from wibam_core.detection.background import BackgroundFrames
 from wibam_core.documents.recordings import VideoInfo
 from wibam_core.errors import InputError, NoOverlap
-from wibam_core.formats.framestore import FrameStore, FrameStoreWriter
-from wibam_core.scene import ClockMap
+from wibam_core.formats.framestore import FrameStore, FrameStoreWriter, Size
+from wibam_core.geometry.cut_view import Cutter, Image
+from wibam_core.geometry.pixels import shrunk_image
+from wibam_core.scene import CameraRig, ClockMap
 from wibam_core.stages.base import StageContext, Summary
 from wibam_core.video.decode import OnePass
 from wibam_core.video.sampling import Span, common_instants, nearer_times, nearest_times, overlap_s, period_ns
@@ -45,7 +47,12 @@ class _Target(NamedTuple):
 
 @dataclass
 class _Camera:
-    """One camera's work: its recording, its clock, all its frames, what is looked for, and how far it is."""
+    """One camera's work: its recording, its clock, all its frames, what is looked for, and how far it is.
+
+    Attributes:
+        pictures: id in the frame store -> what of a frame is stored by that id: a view, or, where there is None, all.
+        sizes: the same ids -> size of these pictures before they are shrunk, px.
+    """
 
     id: str
     recording: Path
@@ -53,6 +60,8 @@ class _Camera:
     info: VideoInfo
     times_ns: NDArray[np.int64]
     targets: list[_Target]
+    pictures: Mapping[str, Cutter | None]
+    sizes: Mapping[str, Size]
     damaged: set[int] = field(default_factory=set)
     stored: int = 0
     copied: int = 0
@@ -65,6 +74,8 @@ class _Camera:
 
 def run(context: StageContext, config: FramesConfig) -> Summary:
     """Write a frame store: for each instant that two cameras span, the nearest frame of every camera.
+
+    Of a camera with a wide lens it holds the views that are cut from its frames, each as if it were a camera.
 
     Beside these it holds the frames that may show a camera's background, which no clock and no rate changes. What
     earlier outputs hold is copied from there: a recording of which they hold all that is needed is not opened.
@@ -84,15 +95,18 @@ def run(context: StageContext, config: FramesConfig) -> Summary:
         )
     _check_shared(spans, infos, context.read(LIMITS).min_overlap_s)
     times = context.read(TIMESTAMPS)
+    rig = context.read(RIG) if any(camera.is_wide for camera in context.site.cameras) else None
     cameras = [
-        _camera(camera_id, context.recordings[camera_id], clocks[camera_id], info, times[camera_id], instants, config)
+        _camera(
+            camera_id, context.recordings[camera_id], clocks[camera_id], info, times[camera_id], instants, config, rig
+        )
         for camera_id, info in infos.items()
     ]
     earlier = _earlier(context)
     with FrameStoreWriter(context.new_file(FRAMES), config.jpeg_quality) as writer:
         _read_all(cameras, writer, earlier, config.width_px, context)
         _check_stored(cameras, len(instants))
-        writer.close({camera.id: (camera.info.width_px, camera.info.height_px) for camera in cameras})
+        writer.close({picture: size for camera in cameras for picture, size in camera.sizes.items()})
     return {
         "instants": len(instants),
         "seconds": round(float(instants[-1] - instants[0]) / 1e9, 3),
@@ -161,6 +175,7 @@ def _camera(
     times_ns: NDArray[np.int64],
     instants: NDArray[np.int64],
     config: FramesConfig,
+    rig: CameraRig | None,
 ) -> _Camera:
     tolerance_ns = int(max(1e9 / info.fps, float(period_ns(config.rate_hz))) / 2)
     span = _span(info, clock)
@@ -174,7 +189,13 @@ def _camera(
     ]
     targets += [_Target(time, background_tolerance_ns, None) for time in of_background.tolist()]
     targets.sort(key=lambda target: target.local_ns)
-    return _Camera(camera_id, recording, clock, info, times_ns, targets)
+    pictures: dict[str, Cutter | None] = {camera_id: None}
+    sizes = {camera_id: (info.width_px, info.height_px)}
+    if rig is not None and camera_id in rig.views:
+        views = rig.views[camera_id]
+        pictures = {view.id: view.cutter(rig.mounted[camera_id]) for view in views}
+        sizes = {view.id: (view.width_px, view.height_px) for view in views}
+    return _Camera(camera_id, recording, clock, info, times_ns, targets, pictures, sizes)
 
 
 def _within_pieces(clock: ClockMap, local_ns: NDArray[np.int64], tolerance_ns: int) -> NDArray[np.int64]:
@@ -221,30 +242,39 @@ def _read_all(
 def _read(
     camera: _Camera, writer: FrameStoreWriter, earlier: Sequence[FrameStore], width_px: int, stop: threading.Event
 ) -> None:
-    one_pass = OnePass(camera.recording, among=set(camera.times_ns.tolist()), width_px=width_px)
+    cut = any(cutter is not None for cutter in camera.pictures.values())
+    decoded_px = camera.info.width_px if cut else width_px
+    one_pass = OnePass(camera.recording, among=set(camera.times_ns.tolist()), width_px=decoded_px)
     for target, expected_ns in zip(camera.targets, _expected(camera, earlier), strict=True):
         if stop.is_set():
             return
         found_ns = expected_ns
-        copied = expected_ns is not None and _copy(camera.id, expected_ns, earlier, writer)
+        copied = expected_ns is not None and all(_copy(id_, expected_ns, earlier, writer) for id_ in camera.pictures)
         if expected_ns is not None and not copied:
             frame = one_pass.nearest(target.local_ns, target.tolerance_ns)
             found_ns = None if frame is None else frame.time_ns
             if frame is not None:
-                writer.add_frame(camera.id, frame.time_ns, frame.image_bgr)
+                for id_, cutter in camera.pictures.items():
+                    writer.add_frame(id_, frame.time_ns, _picture(frame.image_bgr, cutter, width_px))
         camera.damaged.update(nearer_times(camera.times_ns, target.local_ns, found_ns, target.tolerance_ns))
         if found_ns is not None and target.instant_ns is not None:
             frame_time_ns = int(camera.clock.to_reference_ns(found_ns))
-            writer.add_to_instant(target.instant_ns, camera.id, found_ns, frame_time_ns)
+            for id_ in camera.pictures:
+                writer.add_to_instant(target.instant_ns, id_, found_ns, frame_time_ns)
             camera.stored += 1
             camera.copied += copied
         camera.seen += 1
-    writer.add_damaged(camera.id, camera.damaged)
+    for id_ in camera.pictures:
+        writer.add_damaged(id_, camera.damaged)
+
+
+def _picture(image: Image, cutter: Cutter | None, width_px: int) -> Image:
+    return image if cutter is None else shrunk_image(cutter.cut(image), width_px)
 
 
 def _expected(camera: _Camera, earlier: Sequence[FrameStore]) -> list[int | None]:
     """The frame nearest to each target, of all that are not known to be damaged; None where there is none."""
-    damaged = [store.damaged_ns(camera.id) for store in earlier]
+    damaged = [store.damaged_ns(id_) for store in earlier for id_ in camera.pictures]
     times_ns = np.setdiff1d(camera.times_ns, np.concatenate([np.empty(0, np.int64), *damaged]))
     targets_ns = np.array([target.local_ns for target in camera.targets], dtype=np.int64)
     return nearest_times(times_ns, targets_ns, np.array([target.tolerance_ns for target in camera.targets], np.int64))

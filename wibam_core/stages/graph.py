@@ -38,7 +38,8 @@ def _signals(site: Site) -> Any:
 
 
 def _calibration(site: Site) -> Any:
-    return [(c.id, c.width_px, c.height_px, c.calibration.model_dump()) for c in site.cameras]
+    views = [[view.model_dump() for view in c.views] for c in site.cameras]
+    return [(c.id, c.width_px, c.height_px, c.calibration.model_dump()) for c in site.cameras], views
 
 
 def _everything(site: Site) -> Any:
@@ -83,6 +84,7 @@ class StageSpec:
         name: of the module in `wibam_core.stages`, of the options in `PipelineConfig`, and of the output folder.
         title: what it does, for a person.
         reads: the artifacts of other stages that it reads; the edges of the graph follow from them.
+        reads_if_wide: those that it reads only of a site that has a camera with a wide lens.
         site_part: what of the site description it depends on.
         reads_recordings: whether it opens the uploaded videos.
         assets: other uploaded files (`wibam_core.stages.assets`) that it reads where the options use them.
@@ -102,11 +104,18 @@ class StageSpec:
     asset_checks: frozenset[str] = frozenset()
     checked_options: Callable[[PipelineConfig], FinetuneConfig | None] = _no_options
     frame_by_frame: FrameByFrame | None = None
+    reads_if_wide: tuple[Artifact[Any], ...] = ()
 
     @property
     def requires(self) -> tuple[str, ...]:
-        """Stages whose outputs it reads."""
+        """Stages whose outputs it always reads."""
         return tuple(dict.fromkeys(artifact.stage for artifact in self.reads))
+
+    def requires_of(self, site: Site) -> tuple[str, ...]:
+        """Stages whose outputs it reads of a site."""
+        if not any(camera.is_wide for camera in site.cameras):
+            return self.requires
+        return tuple(dict.fromkeys((*self.requires, *(artifact.stage for artifact in self.reads_if_wide))))
 
     @property
     def writes(self) -> tuple[Artifact[Any], ...]:
@@ -118,7 +127,8 @@ class StageSpec:
 
         The modules that say how the artifacts look that it reads and writes are part of it.
         """
-        layouts = frozenset(artifact.codec.layout for artifact in (*self.reads, *self.writes))
+        read = (*self.reads, *self.reads_if_wide)
+        layouts = frozenset(artifact.codec.layout for artifact in (*read, *self.writes))
         return code_digest(self.name, frozenset() if checks else self.asset_checks, layouts)
 
     def config(self, config: PipelineConfig) -> StageConfig:
@@ -151,6 +161,7 @@ _SPECS = (
         _sizes,
         reads_recordings=True,
         frame_by_frame=FrameByFrame(frozenset({"rate_hz"}), frozenset({"preflight", "sync"})),
+        reads_if_wide=(catalogue.RIG,),
     ),
     StageSpec(
         "detect",
@@ -158,6 +169,7 @@ _SPECS = (
         (catalogue.TIMESTAMPS, catalogue.FRAMES),
         assets=("detector",),
         frame_by_frame=FrameByFrame(frozenset({"rate_hz"})),
+        reads_if_wide=(catalogue.RIG,),
     ),
     StageSpec(
         "associate",
@@ -272,24 +284,23 @@ def plan(site: Site, config: PipelineConfig, inputs: InputDigests) -> tuple[Plan
             "site": spec.site_part(site),
             "recordings": dict(inputs.recordings) if spec.reads_recordings else None,
             "assets": {name: inputs.assets[name] for name in spec.assets_read(config) if name in inputs.assets},
-            "upstream": {name: contents[name] for name in spec.requires},
+            "upstream": {name: contents[name] for name in spec.requires_of(site)},
         }
         frame_hash = None
         if spec.frame_by_frame is not None:
-            frame_hash = _hash_of(facts | _facts_of_frames(spec, facts, contents | frame_hashes))
+            frame_hash = _hash_of(facts | _facts_of_frames(spec.frame_by_frame, facts, contents | frame_hashes))
             frame_hashes[spec.name] = frame_hash
-        planned.append(PlannedStage(spec.name, _hash_of(facts), spec.requires, frame_hash))
+        planned.append(PlannedStage(spec.name, _hash_of(facts), spec.requires_of(site), frame_hash))
         if spec.asset_checks:
             facts |= {"code": spec.code(checks=False), "assets": {}, "checked": None}
         contents[spec.name] = _hash_of(facts)
     return tuple(planned)
 
 
-def _facts_of_frames(spec: StageSpec, facts: Mapping[str, Any], contents: Mapping[str, str]) -> dict[str, Any]:
+def _facts_of_frames(only: FrameByFrame, facts: Mapping[str, Any], contents: Mapping[str, str]) -> dict[str, Any]:
     """Those of the facts, without what only says which frames, that differ from all facts."""
-    assert spec.frame_by_frame is not None
-    options = {name: value for name, value in facts["options"].items() if name not in spec.frame_by_frame.options}
-    upstream = {name: contents[name] for name in spec.requires if name not in spec.frame_by_frame.stages}
+    options = {name: value for name, value in facts["options"].items() if name not in only.options}
+    upstream = {name: contents[name] for name in facts["upstream"] if name not in only.stages}
     return {"options": options, "upstream": upstream}
 
 

@@ -12,6 +12,7 @@ from wibam_core.models.network import predict
 from wibam_core.models.stored_frames import stored_frames
 from wibam_core.networks.registry import load_to_detect
 from wibam_core.stages.base import StageContext, Summary
+from wibam_core.tracking.one_per_camera import found_once
 from wibam_core.tracking.tracker import Tracker
 
 
@@ -28,6 +29,8 @@ def run(context: StageContext, config: TrackConfig) -> Summary:
     done = 0
     for time_ns, detections in groupby(found, key=lambda vehicles: vehicles.time_ns):
         of_instant = [factors.apply(vehicles) for vehicles in detections]
+        if rig.views:
+            of_instant = found_once(of_instant, rig, config.fusion_radius_m)
         tracker.step(time_ns, of_instant, frame_times[time_ns])
         done += len(of_instant)
         context.progress(done / total, f"Tracking: {done} of {total} images")

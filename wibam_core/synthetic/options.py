@@ -6,6 +6,8 @@ from typing import Literal
 
 from pydantic import BaseModel, ConfigDict, Field
 
+from wibam_core.site import Lens
+
 
 class SimulationOptions(BaseModel):
     """Options of a simulated recording. The same options give the same files, whatever ``workers`` is.
@@ -21,6 +23,7 @@ class SimulationOptions(BaseModel):
         traffic_density: 1 is about 6 vehicles a minute and incoming lane.
         parked: vehicles that stand beside the road all the time.
         distortion: give every lens a mild barrel distortion.
+        lens: of every camera. Wide ones see about 160 degrees across.
         cycle_s: length of the signal cycle.
         max_offset_s: recordings start at most so far apart.
         max_drift_ppm: every clock is at most so many millionths too fast or slow.
@@ -42,6 +45,7 @@ class SimulationOptions(BaseModel):
     traffic_density: float = Field(1.0, ge=0, le=4)
     parked: int = Field(2, ge=0, le=20)
     distortion: bool = False
+    lens: Lens = "pinhole"
     cycle_s: float = Field(22.0, ge=14.0, le=300.0)
     max_offset_s: float = Field(2.0, ge=0, le=60)
     max_drift_ppm: float = Field(50.0, ge=0, le=1000)

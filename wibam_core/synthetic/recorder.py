@@ -24,6 +24,7 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 from numpy.typing import NDArray
 
+from wibam_core.calibration.views import views_of_site
 from wibam_core.errors import Conflict
 from wibam_core.formats.clocks import Clocks, write_clocks
 from wibam_core.formats.labels import write_labels
@@ -42,6 +43,7 @@ from wibam_core.synthetic.render import Renderer
 from wibam_core.synthetic.signals import SignalProgram
 from wibam_core.synthetic.sumo import simulate_sumo_traffic
 from wibam_core.synthetic.traffic import Traffic, simulate_traffic
+from wibam_core.synthetic.wide import WideRenderer, with_lens
 from wibam_core.video.encode import VideoWriter
 from wibam_core.video.sampling import Span, common_instants
 
@@ -116,7 +118,7 @@ def record_site(
     )
     (folder / "site.json").write_text(site.model_dump_json(indent=1) + "\n", encoding="utf-8")
     write_labels(folder / "labels.parquet", _labels(options, jobs, truths))
-    _write_truth(truth_folder, options, jobs, truths)
+    _write_truth(truth_folder, options, site, jobs, truths)
     progress(1.0, f"{len(jobs)} recordings")
     return site
 
@@ -146,6 +148,10 @@ def plan_recordings(options: SimulationOptions, recordings: Path) -> list[Camera
         options.distortion,
         _HEIGHTS_M[options.regime],
     )
+    cameras = [
+        with_lens(camera, options.lens, np.random.default_rng([options.seed, 55, i]))
+        for i, camera in enumerate(cameras)
+    ]
     lighting = sample_lighting(np.random.default_rng([options.seed, 53]))
     jobs = []
     for i, camera in enumerate(cameras):
@@ -178,7 +184,7 @@ def record_camera(job: CameraJob, advance: Callable[[float], None]) -> CameraTru
     """Render one camera's recording and write its video; ``advance`` is told the share that is done."""
     cv2.setNumThreads(1)
     rng = np.random.default_rng(job.seed)
-    renderer = Renderer(job.traffic.layout, job.lighting, job.camera)
+    renderer = (WideRenderer if job.camera.is_wide else Renderer)(job.traffic.layout, job.lighting, job.camera)
     period_s, phase = rng.uniform(15, 40), rng.uniform(0, 2 * np.pi)
     rows: list[tuple[IntArray, IntArray, IntArray, Array, Array, Array]] = []
     with VideoWriter(job.path, job.camera.width_px, job.camera.height_px, job.fps) as writer:
@@ -210,11 +216,11 @@ def _exposed(photometry: Photometry, swing: float) -> Photometry:
     return Photometry(gain, photometry.gamma, photometry.tint, photometry.noise_sd, photometry.blur_px)
 
 
-def _signal_regions(renderer: Renderer, job: CameraJob) -> tuple[SignalRegion, ...]:
+def _signal_regions(renderer: Renderer | WideRenderer, job: CameraJob) -> tuple[SignalRegion, ...]:
     """The largest head in view of each phase."""
     best: dict[str, tuple[float, float, float, float]] = {}
     for head in job.traffic.layout.signals:
-        if not renderer.background.sees(head):
+        if not renderer.sees(head):
             continue
         uv, _ = job.camera.project(head.outline(0.05))
         x0, y0 = np.maximum(np.floor(uv.min(axis=0)), 0.0).tolist()
@@ -269,13 +275,14 @@ def _changes(job: CameraJob, truth: CameraTruth) -> Iterator[dict[str, str | int
 
 
 def _write_truth(
-    folder: Path, options: SimulationOptions, jobs: Sequence[CameraJob], truths: Sequence[CameraTruth]
+    folder: Path, options: SimulationOptions, site: Site, jobs: Sequence[CameraJob], truths: Sequence[CameraTruth]
 ) -> None:
     (folder / "options.json").write_text(
         options.model_dump_json(indent=1, exclude={"workers"}) + "\n", encoding="utf-8"
     )
     write_clocks(folder / "clocks.json", Clocks({job.camera_id: job.clock.map_to(jobs[0].clock) for job in jobs}))
-    write_rig(folder / "rig.json", CameraRig({job.camera_id: job.camera for job in jobs}))
+    mounted = {job.camera_id: job.camera for job in jobs}
+    write_rig(folder / "rig.json", CameraRig(mounted, views_of_site(site, mounted)))
     changes = [change for job, truth in zip(jobs, truths, strict=True) for change in _changes(job, truth)]
     (folder / "changes.json").write_text(json.dumps(changes, indent=1) + "\n", encoding="utf-8")
     table = pa.concat_tables([_boxes_table(truth) for truth in truths])

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from wibam_core.geometry.box3d import HEIGHT, LENGTH, SIZE, SIZE_XY, WIDTH, XY, XYZ, YAW, X, Y, footprints
 from wibam_core.geometry.camera import Camera
 from wibam_core.synthetic.background import Background
-from wibam_core.synthetic.layout import Layout
+from wibam_core.synthetic.layout import Layout, SignalHead
 from wibam_core.synthetic.lighting import Lighting
 from wibam_core.synthetic.mesh import Mesh, paint_order
 from wibam_core.synthetic.raster import NEAR_M, SHIFT, Image, View, clip_near, fill, fixed_point
@@ -119,6 +119,10 @@ class Renderer:
         self.view = View(camera)
         self.background = Background(layout, lighting, self.view)
         self._lighting = lighting
+
+    def sees(self, head: SignalHead) -> bool:
+        """Whether a signal head is turned to the camera, wholly in its picture, and hidden by nothing still."""
+        return self.background.sees(head)
 
     def draw(
         self,

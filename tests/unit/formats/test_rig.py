@@ -1,13 +1,16 @@
 import json
+from pathlib import Path
 
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from tests.builders import corner_rig
 from wibam_core.errors import CalibrationError
 from wibam_core.formats.rig import read_rig, write_rig
 from wibam_core.geometry.camera import Camera
+from wibam_core.geometry.cut_view import CutView
 from wibam_core.geometry.se3 import SE3
 from wibam_core.scene import CameraRig
 
@@ -65,3 +68,29 @@ def test_improper_cameras_are_refused(tmp_path, change, match):
 def test_a_missing_file_says_so(tmp_path):
     with pytest.raises(CalibrationError, match="does not exist"):
         read_rig(tmp_path / "rig.json")
+
+
+def test_a_wide_lens_and_its_views_come_back(tmp_path: Path) -> None:
+    K = np.array([[322.1, 0, 632.7], [0, 321.9, 473.8], [0, 0, 1]])
+    pose = SE3.from_rvec_tvec(np.array([2.9, -1.3, 0.2]), np.array([1.7, -22.4, 8.4])).inverse()
+    camera = Camera(K, np.array([-0.06, 0.01, 0.001, -0.0008]), pose, 1280, 960, "omnidirectional", 1.1)
+    view = CutView(
+        "z.1", SE3.from_rvec_tvec(np.array([0.1, 0.9, 0.3]), np.zeros(3)).rotation, corner_rig()["cam1"].K, 640, 360
+    )
+    rig = CameraRig({"z": camera, "a": corner_rig()["cam1"]}, {"z": (view,)})
+    write_rig(tmp_path / "rig.json", rig)
+    back = read_rig(tmp_path / "rig.json")
+    assert list(back) == ["z.1", "a"]
+    assert (back.reference_id, back.mounted_id("z.1"), back.mounted_id("a")) == ("z", "z", "a")
+    assert (back.mounted["z"].lens, back.mounted["z"].xi) == ("omnidirectional", 1.1)
+    for one, again in ((rig["z.1"], back["z.1"]), (camera, back.mounted["z"])):
+        np.testing.assert_array_equal(one.K, again.K)
+        np.testing.assert_allclose(one.T_world_cam.matrix, again.T_world_cam.matrix, atol=1e-14)
+        assert one.size_px == again.size_px
+    entries = json.loads((tmp_path / "rig.json").read_text())["cameras"]
+    assert "lens" not in entries[1]  # a pinhole's entry is as it ever was
+    entries[1]["views"] = entries[0]["views"]
+    entries[0]["views"] = []
+    (tmp_path / "bad.json").write_text(json.dumps({"format": "wibam-rig", "version": 1, "cameras": entries}))
+    with pytest.raises(CalibrationError, match="no wide lens"):
+        read_rig(tmp_path / "bad.json")
