@@ -16,7 +16,7 @@ from starlette.responses import HTMLResponse
 from api.docs_page import DOCS_PAGE
 from api.housekeeping import Housekeeper
 from api.problems import Problem, add_handlers
-from api.routes import exports, jobs, results, scene, sites, system, uploads
+from api.routes import exports, jobs, looks, results, scene, sites, system, uploads
 from api.security import Gate
 from api.services import Services
 from api.sessions import SESSION_COOKIE
@@ -74,6 +74,8 @@ def create_app(settings: ServiceSettings) -> FastAPI:
     add_handlers(app)
     for router in (
         sites.router,
+        looks.router,
+        looks.calibration_router,
         uploads.router,
         jobs.router,
         results.router,

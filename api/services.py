@@ -10,6 +10,7 @@ from fastapi import Depends, Request
 from api.sessions import Passes
 from wibam_core.adapters.database import Database
 from wibam_core.adapters.files import DataFolder
+from wibam_core.adapters.glimpses import Glimpses
 from wibam_core.adapters.job_store import JobStore
 from wibam_core.adapters.lease_store import LeaseStore
 from wibam_core.adapters.queue import JobQueue, make_celery
@@ -35,6 +36,7 @@ class Services:
     results: JobResults
     stages: StageStore
     passes: Passes
+    glimpses: Glimpses
 
     @classmethod
     def connect(cls, settings: ServiceSettings) -> Services:
@@ -56,6 +58,7 @@ class Services:
             results=JobResults(folder.stages),
             stages=StageStore(folder.stages),
             passes=Passes(settings.token_sha256),
+            glimpses=Glimpses(),
         )
 
 

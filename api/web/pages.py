@@ -174,3 +174,28 @@ def jobs() -> HTMLResponse:
 @router.get("/jobs/{job_id}")
 def job(job_id: Id, read_only: ReadOnly) -> HTMLResponse:
     return page("job", read_only=read_only, job=job_id)
+
+
+@router.get("/jobs/{job_id}/results")
+def results(job_id: Id, read_only: ReadOnly) -> HTMLResponse:
+    return page("results", read_only=read_only, job=job_id)
+
+
+@router.get("/sites", dependencies=SignedIn)
+def sites() -> HTMLResponse:
+    return page("sites")
+
+
+@router.get("/sites/{site_id}", dependencies=SignedIn)
+def site(site_id: Id) -> HTMLResponse:
+    return page("site", site=site_id)
+
+
+@router.get("/sites/{site_id}/cameras/{camera_id}", dependencies=SignedIn)
+def camera(site_id: Id, camera_id: Id) -> HTMLResponse:
+    return page("camera", site=site_id, camera=camera_id)
+
+
+@router.get("/jobs/{job_id}/player")
+def player(job_id: Id, read_only: ReadOnly) -> HTMLResponse:
+    return page("player", read_only=read_only, job=job_id)

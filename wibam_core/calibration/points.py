@@ -115,7 +115,7 @@ def check_on_ground(world: Array, tolerance_m: float) -> None:
         CalibrationError: with the offset where all lie on another plane, and the farthest point where they do not.
     """
     heights = world[:, 2]
-    if np.abs(heights).max() <= tolerance_m:
+    if np.abs(heights).max(initial=0.0) <= tolerance_m:
         return
     level = float(np.median(heights))
     if np.ptp(heights) <= max(2 * _ROAD_M, abs(level) / 4) and abs(level) > tolerance_m:

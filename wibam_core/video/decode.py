@@ -50,7 +50,7 @@ def decode(path: Path, *, width_px: int | None = None, threads: int = 1) -> Iter
         UnreadableVideo: the file cannot be opened.
     """
     for time_ns, frame in _frames(path, threads):
-        yield time_ns, _to_bgr(frame, width_px)
+        yield time_ns, to_bgr(frame, width_px)
 
 
 def frames_nearest(
@@ -118,7 +118,7 @@ class OnePass:
         if frame is None or abs(time_ns - target_ns) > tolerance_ns:
             return None
         image = self._chosen.image_bgr if self._chosen and self._chosen.time_ns == time_ns else None
-        self._chosen = NearestFrame(target_ns, time_ns, _to_bgr(frame, self._width_px) if image is None else image)
+        self._chosen = NearestFrame(target_ns, time_ns, to_bgr(frame, self._width_px) if image is None else image)
         return self._chosen
 
 
@@ -167,7 +167,8 @@ def _is_plain(frame: VideoFrame) -> bool:
     )
 
 
-def _to_bgr(frame: VideoFrame, width_px: int | None) -> Image:
+def to_bgr(frame: VideoFrame, width_px: int | None) -> Image:
+    """A decoded frame as it is to be seen, turned as its file says, (H, W, 3) uint8; ``width_px`` as in `decode`."""
     if _is_plain(frame):
         image = np.asarray(cv2.cvtColor(frame.to_ndarray(), cv2.COLOR_YUV2BGR_I420), dtype=np.uint8)
     else:

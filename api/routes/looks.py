@@ -1,0 +1,149 @@
+"""What one needs while one describes a site: frames and signals of recordings, and cameras solved from points."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+from fastapi import APIRouter, Query, Response
+from pydantic import BaseModel, Field
+
+from api.parameters import ONLY_KNOWN_PARAMETERS
+from api.problems import documented
+from api.routes.scene import SceneCameraOut, scene_camera
+from api.services import Services, ServicesDep
+from wibam_core.adapters.glimpses import GlimpseRequest
+from wibam_core.documents.calibration import CameraResiduals
+from wibam_core.documents.synchronisation import SeenChange
+from wibam_core.documents.warnings import Caution
+from wibam_core.errors import InputError, NotFound
+from wibam_core.jobs.records import Purpose, StoredFile
+from wibam_core.site import SignalRegion, SiteCamera
+
+router = APIRouter(prefix="/v1/sites/{site_id}/recordings/{file_id}", tags=["sites"], responses=documented(401, 404))
+calibration_router = APIRouter(prefix="/v1/calibration", tags=["sites"], responses=documented(401))
+Seconds = Annotated[float, Query(ge=0, le=1e7, allow_inf_nan=False, description="on the recording's own clock")]
+
+
+class VideoHeaderOut(BaseModel):
+    """What a recording's header says of it; a job measures it (`probe` of a recording)."""
+
+    duration_s: float = Field(description="0 where the header does not say")
+    fps: float = Field(description="0 where the header does not say")
+    width_px: int
+    height_px: int
+
+
+class SignalStripOut(BaseModel):
+    """What a region shows over a stretch of a recording."""
+
+    from_s: float
+    to_s: float
+    changes: list[SeenChange] = Field(description="by time; none where the region shows no signal")
+
+
+class SolvedCameraOut(BaseModel):
+    """A camera as its calibration comes out."""
+
+    camera: SceneCameraOut
+    residuals: CameraResiduals
+    cautions: list[Caution] = Field(description="what is doubtful about it, and what to do")
+
+
+@router.get("/header", summary="Length, rate and size of a recording", responses=documented(422, 503))
+def header(site_id: str, file_id: str, services: ServicesDep) -> VideoHeaderOut:
+    """From the header alone."""
+    answer, _ = services.glimpses.look(GlimpseRequest(look="header", path=_recording(services, site_id, file_id)))
+    return VideoHeaderOut.model_validate(answer)
+
+
+@router.get(
+    "/frame",
+    summary="A frame of a recording",
+    response_class=Response,
+    dependencies=[ONLY_KNOWN_PARAMETERS],
+    responses={200: {"content": {"image/jpeg": {}}}, **documented(422, 503)},
+)
+def frame(
+    site_id: str,
+    file_id: str,
+    services: ServicesDep,
+    time_s: Seconds = 0.0,
+    width_px: Annotated[int | None, Query(ge=16, le=16384, description="no wider than this")] = None,
+) -> Response:
+    """As JPEG, whatever the recording's codec. The header `X-Wibam-Time` says when it is shown, in ns."""
+    path = _recording(services, site_id, file_id)
+    request = GlimpseRequest(look="frame", path=path, start_ns=round(time_s * 1e9), width_px=width_px)
+    answer, jpeg = services.glimpses.look(request)
+    headers = {
+        "X-Wibam-Time": str(answer["time_ns"]),
+        "Cache-Control": "private, max-age=86400, immutable",  # a file with this id never changes
+        "X-Content-Type-Options": "nosniff",
+    }
+    return Response(jpeg, media_type="image/jpeg", headers=headers)
+
+
+@router.get(
+    "/signal",
+    summary="What a region shows over time",
+    dependencies=[ONLY_KNOWN_PARAMETERS],
+    responses=documented(422, 503),
+)
+def signal(
+    site_id: str,
+    file_id: str,
+    services: ServicesDep,
+    region: Annotated[str, Query(description="`x,y,width,height` in px of the recording", examples=["551,180,18,50"])],
+    start_s: Seconds = 0.0,
+    duration_s: Annotated[float, Query(gt=0, le=180, allow_inf_nan=False)] = 60.0,
+) -> SignalStripOut:
+    """The changes that synchronisation would see there: a wrong region shows none, or too many."""
+    look = GlimpseRequest(
+        look="signals",
+        path=_recording(services, site_id, file_id),
+        start_ns=round(start_s * 1e9),
+        duration_ns=round(duration_s * 1e9),
+        regions=(SignalRegion(id="region", region=_region(region)),),
+    )
+    answer, _ = services.glimpses.look(look)
+    return SignalStripOut.model_validate(answer)
+
+
+@calibration_router.post("/solve", summary="Solve one camera", responses=documented(413, 422))
+def solve(camera: SiteCamera) -> SolvedCameraOut:
+    """From its calibration as a site has it: pose, residuals of each point, what is doubtful. Nothing is kept."""
+    from wibam_core.calibration.rig import solve_camera
+    from wibam_core.config import CalibrateConfig
+
+    solved = solve_camera(camera, CalibrateConfig())
+    return SolvedCameraOut(
+        camera=scene_camera(camera.id, solved.camera, None),
+        residuals=solved.document(),
+        cautions=list(solved.cautions),
+    )
+
+
+def _recording(services: Services, site_id: str, file_id: str) -> Path:
+    """Where a site's recording lies.
+
+    Raises:
+        NotFound: the site has no such recording any more.
+    """
+    found: StoredFile | None = next((file for file in services.sites.files(site_id) if file.id == file_id), None)
+    if found is None or found.purpose is not Purpose.RECORDING:
+        raise NotFound(
+            f"site {site_id} has no recording {file_id}",
+            hint="It may have been replaced or deleted: GET /v1/sites/{id}/recordings lists what is there.",
+        )
+    return services.folder.file(found)
+
+
+def _region(text: str) -> tuple[float, float, float, float]:
+    hint = "Give x, y, width, height in pixels of the recording, for example 551,180,18,50."
+    try:
+        numbers = [float(part) for part in text.split(",")]
+    except ValueError:
+        raise InputError(f"region: {text!r} is not four numbers", hint=hint) from None
+    if len(numbers) != 4 or not all(abs(number) < 1e6 for number in numbers) or min(numbers[2:]) <= 0:
+        raise InputError(f"region: {text!r} is not x,y,width,height", hint=hint)
+    return (numbers[0], numbers[1], numbers[2], numbers[3])

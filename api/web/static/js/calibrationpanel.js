@@ -1,0 +1,211 @@
+// Points of a calibration: a table, the marks in the frame, the solve at every change, and what comes out of it.
+import { Problem, send } from "./api.js";
+import { byId, fill, h, message, sentence } from "./dom.js";
+import { number } from "./format.js";
+import { Camera } from "./projection.js";
+
+/**
+ * @typedef {Object} Point
+ * @property {number|null} u
+ * @property {number|null} v
+ * @property {number|null} x
+ * @property {number|null} y
+ * @property {number} z
+ * @property {any} [residual]
+ */
+
+const SOLVE_AFTER_MS = 180;
+const INTRINSICS = ["fx", "fy", "cx", "cy"];
+
+/** The calibration of one camera while it is edited. */
+export class CalibrationPanel {
+  /** @param {any} description the camera in the site's document @param {() => void} changed */
+  constructor(description, changed) {
+    this.changed = changed;
+    this.size = [description.width_px, description.height_px];
+    this.id = description.id;
+    const given = description.calibration;
+    this.kind = given.kind;
+    this.matrices = given.kind === "matrices" ? given : null;
+    const K = given.K ?? [[this.size[0] * 0.7, 0, (this.size[0] - 1) / 2], [0, this.size[0] * 0.7, (this.size[1] - 1) / 2], [0, 0, 1]];
+    this.lens = { fx: K[0][0], fy: K[1][1], cx: K[0][2], cy: K[1][2], dist: given.dist ?? [] };
+    /** @type {Point[]} */
+    this.points = (given.correspondences ?? []).map((/** @type {any} */ pair) => ({ u: pair.pixel[0], v: pair.pixel[1], x: pair.world[0], y: pair.world[1], z: pair.world[2] }));
+    this.selected = -1;
+    /** @type {Array<{node: HTMLElement, update: (point: Point, selected: boolean) => void}>} */
+    this.rows = [];
+    /** @type {Camera|null} */
+    this.camera = null;
+    this.timer = 0;
+    this.number = 0;
+    byId("kind").value = this.kind;
+    byId("kind").addEventListener("change", () => { this.kind = byId("kind").value; this.showIntrinsics(); this.edited(); });
+    byId("paste").addEventListener("click", () => this.paste());
+    this.showIntrinsics();
+    this.showPoints();
+    this.solve();
+  }
+
+  /** The calibration as the site's document has it; points without all coordinates are left out. */
+  document() {
+    if (this.kind === "matrices") return this.matrices;
+    const correspondences = this.complete().map((point) => ({ pixel: [point.u, point.v], world: [point.x, point.y, point.z] }));
+    if (this.kind === "homography") return { kind: "homography", correspondences };
+    const { fx, fy, cx, cy, dist } = this.lens;
+    return { kind: "pnp", K: [[fx, 0, cx], [0, fy, cy], [0, 0, 1]], dist, correspondences };
+  }
+
+  complete() {
+    return this.points.filter((point) => [point.u, point.v, point.x, point.y, point.z].every((value) => value !== null && Number.isFinite(value)));
+  }
+
+  /** A click in the frame: the first point without a pixel gets it, else a new one. @param {number[]} pixel */
+  click(pixel) {
+    const [u, v] = pixel.map((value) => Math.round(value * 100) / 100);
+    const chosen = this.points[this.selected];
+    const waiting = chosen && chosen.u === null ? this.selected : this.points.findIndex((point) => point.u === null);
+    if (waiting >= 0) { Object.assign(this.points[waiting], { u, v }); this.selected = waiting; }
+    else { this.points.push({ u, v, x: null, y: null, z: 0 }); this.selected = this.points.length - 1; }
+    this.edited();
+    /** @type {HTMLElement|null} */ (this.rows[this.selected]?.node.querySelector("input[data-field=x]"))?.focus();
+  }
+
+  /** A click on the plan gives the chosen point its place. @param {number[]} world */
+  place(world) {
+    const point = this.points[this.selected];
+    if (!point) return false;
+    point.x = Math.round(world[0] * 1000) / 1000;
+    point.y = Math.round(world[1] * 1000) / 1000;
+    this.edited();
+    return true;
+  }
+
+  /** The point at a pixel. @param {number[]} pixel @param {number} within px */
+  at(pixel, within) {
+    return this.points.findIndex((point) => point.u !== null && point.v !== null && Math.hypot(point.u - pixel[0], point.v - pixel[1]) <= within);
+  }
+
+  /** @param {number} du @param {number} dv */
+  nudge(du, dv) {
+    const point = this.points[this.selected];
+    if (!point || point.u === null || point.v === null) return;
+    point.u += du;
+    point.v += dv;
+    this.edited();
+  }
+
+  edited() {
+    this.showPoints();
+    this.changed();
+    clearTimeout(this.timer);
+    this.timer = window.setTimeout(() => this.solve(), SOLVE_AFTER_MS);
+  }
+
+  async solve() {
+    const place = byId("solution"), mine = ++this.number;
+    if (this.kind !== "matrices" && this.complete().length < 4) {
+      this.camera = null;
+      fill(place, h("p.note", null, `${this.complete().length} of at least 4 points; 6 and more show which one is wrong.`));
+      this.changed();
+      return;
+    }
+    try {
+      const answer = await send("POST", "/v1/calibration/solve", { id: this.id, width_px: this.size[0], height_px: this.size[1], calibration: this.document() });
+      if (mine !== this.number) return; // a later change has its own answer
+      this.camera = new Camera(answer.camera);
+      this.complete().forEach((point, index) => { point.residual = answer.residuals.residuals[index]; });
+      fill(place, this.facts(answer.residuals), answer.cautions.map((/** @type {any} */ caution) => message("caution", caution.message, caution.hint)));
+    } catch (error) {
+      if (mine !== this.number) return;
+      this.camera = null;
+      for (const point of this.points) delete point.residual;
+      fill(place, error instanceof Problem ? message("bad", error.message, error.hint) : message("bad", String(error)));
+    }
+    this.showPoints();
+    this.changed();
+  }
+
+  /** @param {any} residuals */
+  facts(residuals) {
+    const facts = [["Height", `${number(residuals.position_m[2])} m`], ["Position", `${number(residuals.position_m[0])}, ${number(residuals.position_m[1])} m`], ["Focal length", `${number(residuals.focal_px[0], 0)} px`],
+      ["Median error", residuals.median_px === null ? "–" : `${number(residuals.median_px, 1)} px`], ["Left out", residuals.rejected], ["Ground within 50 m", residuals.ground_sd_m === null ? "–" : `± ${number(residuals.ground_sd_m)} m`]];
+    return h("dl.facts", null, facts.map(([title, value]) => h("div", null, h("dt", null, title), h("dd", null, value))));
+  }
+
+  showIntrinsics() {
+    const place = byId("intrinsics");
+    byId("points").parentElement.hidden = this.kind === "matrices";
+    if (this.kind === "matrices") {
+      if (!this.matrices) { fill(place, message("plain", "ready matrices are given in the site's JSON", "Open the site and choose “Edit as JSON”.")); return; }
+      fill(place, h("p.note", null, "K, dist, rvec and tvec as they were given; they are changed in the site's JSON."));
+      return;
+    }
+    if (this.kind === "homography") { fill(place, h("p.note", null, "All points lie on the road (Z = 0). The focal length follows from them; the lens must not bend lines.")); return; }
+    const field = (/** @type {string} */ name) => {
+      const input = h("input.number", { type: "number", step: "any", value: /** @type {any} */ (this.lens)[name] });
+      input.addEventListener("change", () => { /** @type {any} */ (this.lens)[name] = Number(/** @type {HTMLInputElement} */ (input).value); this.edited(); });
+      return h("label", null, name, " ", input);
+    };
+    const dist = h("input", { value: this.lens.dist.join(", "), size: 28 });
+    dist.addEventListener("change", () => { this.lens.dist = /** @type {HTMLInputElement} */ (dist).value.split(/[\s,;]+/).filter(Boolean).map(Number); this.edited(); });
+    fill(place, h("div.row", null, INTRINSICS.map(field)), h("label", null, "Distortion, in OpenCV's order ", dist));
+  }
+
+  /** Bring the table up to date. Rows that are there stay, so that whoever types in one goes on typing in it. */
+  showPoints() {
+    const body = byId("points").tBodies[0];
+    if (this.rows.length !== this.points.length) {
+      this.rows = this.points.map((_, index) => this.row(index));
+      fill(body, this.rows.length ? this.rows.map((row) => row.node) : h("tr", null, h("td", { colspan: 8 }, "Click a place in the frame whose coordinates you know.")));
+    }
+    this.rows.forEach((row, index) => row.update(this.points[index], index === this.selected));
+  }
+
+  /** @param {number} index */
+  row(index) {
+    const fields = /** @type {const} */ (["u", "v", "x", "y", "z"]);
+    const inputs = fields.map((name) => {
+      const made = /** @type {HTMLInputElement} */ (h("input", { type: "number", step: "any", "aria-label": `${name} of point ${index + 1}`, "data-field": name }));
+      made.addEventListener("input", () => {
+        /** @type {any} */ (this.points[index])[name] = made.value === "" ? (name === "z" ? 0 : null) : Number(made.value);
+        this.selected = index;
+        this.edited();
+      });
+      made.addEventListener("focus", () => { this.selected = index; this.mark(); });
+      return made;
+    });
+    const off = h("td.number", null), remove = () => { this.points.splice(index, 1); this.selected = -1; this.edited(); };
+    const node = h("tr", null, h("th", { scope: "row" }, index + 1), inputs.map((input) => h("td", null, input)), off,
+      h("td", null, h("button.small.quiet", { type: "button", "aria-label": `Remove point ${index + 1}`, onclick: remove }, "×")));
+    const update = (/** @type {Point} */ point, /** @type {boolean} */ selected) => {
+      const residual = point.residual, outlier = !!residual && !residual.used;
+      node.classList.toggle("selected", selected);
+      node.classList.toggle("outlier", outlier);
+      inputs.forEach((input, at) => { if (input !== document.activeElement) input.value = String(point[fields[at]] ?? ""); });
+      fill(off, residual && residual.error_px !== null ? `${number(residual.error_px, 1)} px` : "", outlier ? h("div.note", null, "contradicts the others") : residual && residual.error_m !== null ? h("div.note", null, `${number(residual.error_m)} m`) : "");
+    };
+    return { node, update };
+  }
+
+  /** Show which point is chosen. */
+  mark() {
+    this.showPoints();
+    this.changed();
+  }
+
+  paste() {
+    const lines = byId("csv").value.split("\n").map((/** @type {string} */ line) => line.trim()).filter(Boolean);
+    /** @type {Point[]} */
+    const found = [];
+    for (const [index, line] of lines.entries()) {
+      const values = line.split(/[;\t,]\s*|\s+/).filter(Boolean).map(Number);
+      if (values.some(Number.isNaN)) { if (index === 0) continue; fill(byId("solution"), message("bad", `line ${index + 1} has something that is no number: ${line}`, "Use a point for decimals, and commas, semicolons or tabs between.")); return; }
+      if (values.length === 5 || values.length === 4) found.push({ u: values[0], v: values[1], x: values[2], y: values[3], z: values[4] ?? 0 });
+      else if (values.length === 3 || values.length === 2) found.push({ u: null, v: null, x: values[0], y: values[1], z: values[2] ?? 0 });
+      else { fill(byId("solution"), message("bad", `line ${index + 1} has ${values.length} numbers: ${sentence(line)}`, "A line is u, v, X, Y, Z or X, Y, Z.")); return; }
+    }
+    this.points.push(...found);
+    byId("csv").value = "";
+    this.edited();
+  }
+}

@@ -1,0 +1,75 @@
+// What came out of a job: figures from the stages' documents, with the numbers behind them.
+import { get, getIfThere } from "../api.js";
+import { attempt, byId, fill, h, message } from "../dom.js";
+import { jobId, showTabs, showTitle } from "../jobtabs.js";
+import { beforeAfter, cameras, clocks, selfConsistency, table } from "../resulttables.js";
+import { dataFigures, qualityFigures, syncFigures, trainingFigures } from "../resultfigures.js";
+
+/** @param {string} name a file of a stage */
+const file = (name) => getIfThere(`/v1/jobs/${jobId}/artifacts/${name}`);
+
+/** Show a section. @param {string} id @param {...any} content */
+function show(id, ...content) {
+  fill(byId(id).querySelector(".content"), content);
+  byId(id).hidden = false;
+}
+
+/** @param {HTMLElement[]} found */
+const figures = (found) => (found.length ? h("div.figure-grid", null, found) : null);
+
+async function quality() {
+  const metrics = await getIfThere(`/v1/jobs/${jobId}/metrics`);
+  if (!metrics) return false;
+  show("quality",
+    metrics.baseline ? beforeAfter(metrics) : message("plain", "there are no hand labels of this site", "Agreement with the other views says how good boxes are without them."),
+    h("h3", null, "Without labels"), selfConsistency(metrics), figures(qualityFigures(metrics)));
+  return true;
+}
+
+async function training() {
+  const curves = await file("finetune/curves.json");
+  if (curves) show("training", figures(trainingFigures(curves)));
+  return !!curves;
+}
+
+async function sync() {
+  const changes = await file("sync/changes.json");
+  if (changes) show("sync", changes.method === "none" ? h("p.note", null, "The recordings share a clock; nothing was searched.") : clocks(changes), figures(syncFigures(changes)));
+  return !!changes;
+}
+
+async function calibration() {
+  const residuals = await file("calibrate/residuals.json");
+  if (residuals) show("calibration", cameras(residuals));
+  return !!residuals;
+}
+
+async function data() {
+  const statistics = await file("dataset/statistics.json");
+  if (!statistics) return false;
+  const parts = Object.entries(statistics.subsets);
+  show("data", table("Parts in time", ["Part", "Instants", "Seconds", "Vehicles linked over time", "Sightings", "2D boxes"],
+    parts.map(([name, part]) => [name, part.instants, part.seconds, part.tracks, part.vehicles, part.boxes])), figures(dataFigures(statistics)));
+  return true;
+}
+
+async function downloads() {
+  const files = await get(`/v1/jobs/${jobId}/artifacts`);
+  const has = (/** @type {string} */ artifact) => files.some((/** @type {any} */ one) => one.artifact === artifact);
+  const link = (/** @type {string} */ href, /** @type {string} */ text) => h("a.button", { href, download: true }, text);
+  fill(byId("downloads"),
+    has("report") ? h("button.primary", { type: "button", onclick: () => attempt(async () => { location.assign((await get(`/v1/jobs/${jobId}/report-link`)).url); }) }, "Report") : null,
+    has("weights") ? link(`/v1/jobs/${jobId}/model`, "Network (safetensors)") : null,
+    has("weights-onnx") ? link(`/v1/jobs/${jobId}/model?format=onnx`, "Network (ONNX)") : null,
+    has("tracks") ? link(`/v1/jobs/${jobId}/tracks?format=csv`, "Tracks (CSV)") : null,
+    has("tracks") ? link(`/v1/jobs/${jobId}/tracks?format=parquet`, "Tracks (Parquet)") : null,
+    has("conflicts") ? link(`/v1/jobs/${jobId}/conflicts?format=csv`, "Conflicts (CSV)") : null);
+}
+
+attempt(async () => {
+  const job = await get(`/v1/jobs/${jobId}`);
+  showTitle(job);
+  showTabs(job);
+  const there = await Promise.all([quality(), training(), sync(), calibration(), data(), downloads()]);
+  if (!there.includes(true)) fill(byId("nothing"), message("plain", "nothing has been made yet", "Figures appear here as stages finish."));
+});

@@ -1,0 +1,103 @@
+// A job's tracks in the browser: states by instant, fetched page by page, and the filter that the API knows, too.
+import { get, query } from "./api.js";
+
+const PAGE = 50_000;
+
+/**
+ * @typedef {Object} State as `GET /v1/jobs/{id}/tracks` says it
+ * @property {number} time_ns @property {number} track_id @property {string} class
+ * @property {number} x_m @property {number} y_m @property {number} z_m
+ * @property {number} length_m @property {number} width_m @property {number} height_m @property {number} yaw_rad
+ * @property {number} speed_mps @property {number|null} sd_x_m @property {number|null} sd_y_m @property {number|null} sd_yaw_rad @property {number|null} sd_length_m
+ */
+
+/**
+ * @typedef {Object} Filter
+ * @property {string[]} classes none: all
+ * @property {number|null} minSpeed m/s
+ * @property {number|null} startNs
+ * @property {number|null} endNs
+ * @property {number[][]} polygon corners; fewer than three: everywhere
+ */
+
+/** The box of a state, as `projection.js` wants it. @param {State} state @returns {number[]} */
+export function boxOf(state) {
+  return [state.x_m, state.y_m, state.z_m, state.length_m, state.width_m, state.height_m, state.yaw_rad];
+}
+
+/** The API's parameters of a filter. @param {Filter} filter */
+export function parameters(filter) {
+  return {
+    class: filter.classes, min_speed_mps: filter.minSpeed, start_ns: filter.startNs, end_ns: filter.endNs,
+    polygon: filter.polygon.length > 2 ? filter.polygon.map((corner) => corner.map((value) => value.toFixed(2)).join(",")).join(";") : null,
+  };
+}
+
+/** All states of a job. */
+export class Tracks {
+  /** @param {State[]} states sorted by time */
+  constructor(states) {
+    /** @type {number[]} */
+    this.times = [];
+    /** @type {State[][]} */
+    this.at = [];
+    /** @type {Map<number, State[]>} */
+    this.byTrack = new Map();
+    for (const state of states) {
+      if (this.times.at(-1) !== state.time_ns) { this.times.push(state.time_ns); this.at.push([]); }
+      this.at[this.at.length - 1].push(state);
+      const track = this.byTrack.get(state.track_id);
+      if (track) track.push(state);
+      else this.byTrack.set(state.track_id, [state]);
+    }
+  }
+
+  /** @param {string} jobId @param {(count: number) => void} progress @returns {Promise<Tracks>} */
+  static async load(jobId, progress) {
+    /** @type {State[]} */
+    const states = [];
+    for (let cursor = null; ;) {
+      const page = await get(`/v1/jobs/${jobId}/tracks${query({ limit: PAGE, cursor })}`);
+      states.push(...page.states);
+      progress(states.length);
+      cursor = page.next;
+      if (!cursor) return new Tracks(states);
+    }
+  }
+
+  /** Index of the last instant at or before a time. @param {number} timeNs */
+  indexAt(timeNs) {
+    let low = 0, high = this.times.length;
+    while (low < high) {
+      const middle = (low + high) >> 1;
+      if (this.times[middle] <= timeNs) low = middle + 1;
+      else high = middle;
+    }
+    return Math.max(0, low - 1);
+  }
+
+  /** States of a track within a stretch up to a time. @param {number} trackId @param {number} untilNs @param {number} lengthNs @returns {State[]} */
+  trail(trackId, untilNs, lengthNs) {
+    const states = this.byTrack.get(trackId) ?? [];
+    return states.filter((state) => state.time_ns <= untilNs && state.time_ns >= untilNs - lengthNs);
+  }
+}
+
+/** Whether a state is to be shown: what the API answers to `parameters`. @param {State} state @param {Filter} filter */
+export function passes(state, filter) {
+  if (filter.classes.length && !filter.classes.includes(state.class)) return false;
+  if (filter.minSpeed !== null && state.speed_mps < filter.minSpeed) return false;
+  if (filter.startNs !== null && state.time_ns < filter.startNs) return false;
+  if (filter.endNs !== null && state.time_ns >= filter.endNs) return false;
+  return filter.polygon.length < 3 || inside(filter.polygon, state.x_m, state.y_m);
+}
+
+/** Even-odd rule, as the service counts. @param {number[][]} polygon @param {number} x @param {number} y */
+export function inside(polygon, x, y) {
+  let odd = false;
+  polygon.forEach(([x0, y0], index) => {
+    const [x1, y1] = polygon[(index + 1) % polygon.length];
+    if ((y >= y0) !== (y >= y1) && x < x0 + ((y - y0) * (x1 - x0)) / (y1 - y0)) odd = !odd;
+  });
+  return odd;
+}

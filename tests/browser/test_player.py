@@ -1,0 +1,66 @@
+"""The player on a finished job: it plays, steps, filters, and says the same question to the API."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from tests.browser.conftest import Visit
+from tests.finished import finished_job
+from tests.service import LiveApi
+
+#: Draws 40 instants of 60 vehicles in four views, and says what it took.
+DRAWING = (Path(__file__).parent / "drawing.js").read_text()
+
+
+@pytest.fixture(scope="module")
+def job(api: LiveApi) -> str:
+    return finished_job(api)
+
+
+def test_a_job_without_tracks_says_when_there_will_be_some(signed_in: Visit, api: LiveApi) -> None:
+    site = api.site(cameras=1)
+    api.upload(site, b"still to come")
+    job = api.http.post(f"/v1/sites/{site}/jobs", json={}).json()["id"]
+    page = signed_in.open(f"/jobs/{job}/player")
+    page.get_by_text("There are no tracks yet.").wait_for()
+    signed_in.complaints.clear()  # the console names the addresses that have nothing yet
+
+
+def test_it_draws_sixty_vehicles_in_four_views(signed_in: Visit) -> None:
+    signed_in.page.get_by_role("heading", name="Jobs").wait_for()
+    drawn = signed_in.page.evaluate(DRAWING)
+    assert drawn["seen"] > 100
+    assert drawn["coloured"] > 1000, "footprints are filled with their colour"
+
+
+class TestFilterIsTheApis:
+    SCRIPT = """async ([job, filter]) => {
+      const { Tracks, parameters, passes } = await import("/static/js/trackdata.js");
+      const { query } = await import("/static/js/api.js");
+      const tracks = await Tracks.load(job, () => {});
+      const kept = tracks.at.flat().filter((state) => passes(state, filter)).map((s) => [s.time_ns, s.track_id]);
+      return { query: query(parameters(filter)), kept };
+    }"""
+
+    @pytest.mark.parametrize(
+        "change",
+        [
+            {},
+            {"classes": ["bus"]},
+            {"minSpeed": 5},
+            {"startNs": 1_000_000_000, "endNs": 2_000_000_000},
+            {"polygon": [[5.5, -2], [30, -2], [30, 8], [12.25, 8]]},
+        ],
+    )
+    def test_what_is_shown_is_what_the_address_answers(
+        self, signed_in: Visit, api: LiveApi, job: str, change: dict[str, object]
+    ) -> None:
+        base = {"classes": [], "minSpeed": None, "startNs": None, "endNs": None, "polygon": []}
+        found = signed_in.page.evaluate(self.SCRIPT, [job, {**base, **change}])
+        answered = api.http.get(
+            f"/v1/jobs/{job}/tracks{found['query']}{'&' if found['query'] else '?'}limit=1000"
+        ).json()
+        assert found["kept"] == [[state["time_ns"], state["track_id"]] for state in answered["states"]]
+        assert 0 < len(found["kept"]) <= 100

@@ -1,0 +1,152 @@
+"""A site by mouse and keyboard: cameras, recordings, points clicked into a frame, a signal region, a job."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from tests.browser.conftest import Visit
+from tests.builders import look_at
+from tests.recordings import write_recording
+from tests.service import LiveApi
+from wibam_core.geometry.camera import Camera
+
+WORLD = [(-8, -6, 0), (9, -5, 0), (7, 8, 0), (-6, 9, 0), (0, 1, 0), (3, -2, 0), (-4, 2, 0)]
+
+
+@pytest.fixture(scope="module")
+def camera() -> Camera:
+    """What the clicks are computed from: 7 m above the road, principal point in the middle, no distortion."""
+    return look_at((14.0, -18.0, 7.0), focal_px=500.0, width_px=640, height_px=360)
+
+
+@pytest.fixture(scope="module")
+def recordings(tmp_path_factory: pytest.TempPathFactory) -> list[Path]:
+    folder = tmp_path_factory.mktemp("recordings")
+    return [
+        write_recording(folder / f"GOPRO_{name}_1.mp4", width_px=640, height_px=360, seconds=2.0)
+        for name in ("south", "north")
+    ]
+
+
+def make_site(tab: Visit, name: str) -> str:
+    page = tab.open("/sites")
+    page.get_by_label("Name of the intersection").fill(name)
+    page.get_by_label("Cameras, the reference first").fill("north, south")
+    page.get_by_role("button", name="Create", exact=True).click()
+    page.wait_for_url(re.compile("/sites/site_"))
+    return page.url.rpartition("/")[2]
+
+
+def test_recordings_go_to_the_cameras_that_their_names_say(
+    signed_in: Visit, api: LiveApi, recordings: list[Path]
+) -> None:
+    site = make_site(signed_in, "two cameras")
+    page = signed_in.page
+    page.locator("input#files").set_input_files(recordings)
+    page.locator("#queue li", has_text="done").nth(1).wait_for()
+    found = {item["camera"]: item["filename"] for item in api.http.get(f"/v1/sites/{site}/recordings").json()}
+    assert found == {"north": "GOPRO_north_1.mp4", "south": "GOPRO_south_1.mp4"}
+    page.get_by_text("640 × 360 px").nth(1).wait_for()  # the description follows the recordings
+    page.wait_for_load_state("networkidle")
+    signed_in.picture("site")
+
+
+def test_an_upload_goes_on_after_a_reload(signed_in: Visit, api: LiveApi, recordings: list[Path]) -> None:
+    site = make_site(signed_in, "interrupted")
+    page = signed_in.page
+    pieces: list[str] = []
+
+    def stop_after_creation(route: object, request: object) -> None:
+        pieces.append(request.method)  # type: ignore[attr-defined]
+        if request.method == "PATCH" and pieces.count("PATCH") == 1:  # type: ignore[attr-defined]
+            route.abort()  # type: ignore[attr-defined]
+        else:
+            route.continue_()  # type: ignore[attr-defined]
+
+    page.route("**/v1/uploads/**", stop_after_creation)
+    page.locator("input#files").set_input_files(recordings[:1])
+    page.get_by_role("button", name="Pause").click()
+    page.get_by_text("paused").wait_for()
+    page.reload()
+    page.locator("input#files").set_input_files(recordings[:1])
+    page.locator("#queue li", has_text="done").wait_for()
+    assert "HEAD" in pieces, "it asked where the upload stood"
+    [file] = api.http.get(f"/v1/sites/{site}/recordings").json()
+    assert file["size_bytes"] == recordings[0].stat().st_size
+    signed_in.complaints.clear()  # of the piece that was lost
+
+
+def test_a_camera_is_calibrated_by_clicks_and_a_job_is_started(
+    signed_in: Visit, api: LiveApi, recordings: list[Path], camera: Camera
+) -> None:
+    site = make_site(signed_in, "clicked")
+    page = signed_in.page
+    page.locator("input#files").set_input_files(recordings)
+    page.get_by_text("640 × 360 px").nth(1).wait_for()
+    page.get_by_role("link", name="Calibrate and signals").first.click()
+    page.get_by_role("heading", name="Camera north").wait_for()
+    page.get_by_text("0 of at least 4 points").wait_for()
+    canvas = page.locator("#frame")
+    box = canvas.bounding_box()
+    assert box is not None
+    pixels, _ = camera.project(np.array(WORLD, dtype=float))
+    for (x, y, _), (u, v) in zip(WORLD, pixels, strict=True):
+        scale = box["width"] / camera.width_px
+        canvas.click(position={"x": (u + 0.5) * scale, "y": (v + 0.5) * scale})
+        page.keyboard.type(str(x))
+        page.keyboard.press("Tab")
+        page.keyboard.type(str(y))
+        page.keyboard.press("Tab")
+    solution = page.locator("#solution")
+    solution.get_by_text(re.compile(r"^[67]\.\d\d m$")).wait_for()
+    height_m = float(solution.locator("dd").first.inner_text().removesuffix(" m"))
+    assert height_m == pytest.approx(7.0, abs=0.15), "clicks are whole pixels of the screen"
+    page.get_by_label("measures a length on the road").check()
+    ends, _ = camera.project(np.array([[-5.0, 0.0, 0.0], [5.0, 0.0, 0.0]]))
+    for u, v in ends:
+        canvas.click(position={"x": (u + 0.5) * scale, "y": (v + 0.5) * scale})
+    measured = page.locator("#frame-note").inner_text()
+    assert float(re.findall(r"[\d.]+(?= m)", measured)[0]) == pytest.approx(10.0, abs=0.3)
+    page.get_by_label("draws a signal region").check()
+    page.mouse.move(box["x"] + 100, box["y"] + 40)
+    page.mouse.down()
+    page.mouse.move(box["x"] + 130, box["y"] + 110, steps=4)
+    page.mouse.up()
+    page.get_by_text("No change was seen").wait_for()  # the recording is noise
+    signed_in.picture("camera")
+    page.get_by_role("button", name="Save").click()
+    page.get_by_text("saved", exact=True).wait_for()
+    kept = api.http.get(f"/v1/sites/{site}").json()["site"]["cameras"][0]
+    assert len(kept["calibration"]["correspondences"]) == len(WORLD)
+    assert len(kept["signals"]) == 1
+    page.get_by_role("link", name="clicked").click()
+    page.get_by_label("Training steps").fill("40")
+    page.get_by_role("button", name="What would it do?").click()
+    page.locator("#planned li").nth(12).wait_for()
+    page.get_by_role("button", name="Start").click()
+    page.wait_for_url(re.compile("/jobs/job_"))
+    job = api.http.get(f"/v1/jobs/{page.url.rpartition('/')[2]}").json()
+    assert job["options"] == {"finetune": {"steps": 40}}
+
+
+def test_a_wrong_point_is_marked_and_bad_numbers_are_named(signed_in: Visit, camera: Camera) -> None:
+    make_site(signed_in, "pasted")
+    page = signed_in.page
+    page.get_by_role("link", name="Calibrate and signals").first.click()
+    page.get_by_text("0 of at least 4 points").wait_for()
+    page.locator("summary", has_text="Paste points").click()
+    pixels, _ = camera.project(np.array(WORLD, dtype=float))
+    pixels = pixels * 3 + 1  # the size that a camera without a recording has
+    pixels[4] += (90, -60)
+    lines = [f"{u:.2f}, {v:.2f}, {x}, {y}, {z}" for (u, v), (x, y, z) in zip(pixels, WORLD, strict=True)]
+    page.get_by_label(re.compile("^Lines of u, v")).fill("\n".join(["u,v,x,y,z", *lines]))
+    page.get_by_role("button", name="Take these").click()
+    page.locator("#points tr.outlier").wait_for()
+    assert page.locator("#points tr.outlier th").inner_text() == "5"
+    page.get_by_label(re.compile("^Lines of u, v")).fill("1, 2, 3, 4, 5\n1, 2, east")
+    page.get_by_role("button", name="Take these").click()
+    page.get_by_text("Line 2 has something that is no number").wait_for()

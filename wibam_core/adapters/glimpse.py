@@ -1,0 +1,74 @@
+"""Look into one uploaded recording: ``python -m wibam_core.adapters.glimpse REQUEST``, a JSON `GlimpseRequest`.
+
+An uploaded video is not to be trusted, so that a process of its own opens it, confined and for a few seconds. On
+standard output come a line of JSON, ``{"header": ...}`` or ``{"error": ...}`` (`WibamError.to_dict`), and then a JPEG
+file, where a frame was asked for.
+"""
+
+from __future__ import annotations
+
+import json
+import sys
+from collections.abc import Iterator
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from wibam_core.adapters.glimpses import GlimpseRequest
+from wibam_core.errors import InputError, WibamError
+from wibam_core.video.seeking import frames_from, read_header
+
+Image = NDArray[np.uint8]
+
+
+def main(request: GlimpseRequest) -> tuple[dict[str, object], bytes]:
+    """The answer's header, and the JPEG file or nothing.
+
+    Raises:
+        WibamError: the recording cannot be read, has nothing at that time, or does not contain a region.
+    """
+    if request.look == "header":
+        header = read_header(request.path)
+        return dict(vars(header)), b""
+    if request.look == "frame":
+        for time_ns, image in frames_from(request.path, request.start_ns, width_px=request.width_px):
+            return {"time_ns": time_ns}, _jpeg(image)
+        raise InputError("the recording has no frame at that time", hint="Ask for an earlier time.")
+    return _signals(request), b""
+
+
+def _signals(request: GlimpseRequest) -> dict[str, object]:
+    from wibam_core.config import SyncConfig  # these take longer to import than a frame takes to decode
+    from wibam_core.sync.changes import detect_changes
+    from wibam_core.sync.document import seen_change
+
+    times: list[int] = []
+    seen = detect_changes(_stretch(request, times), "", request.regions, SyncConfig().min_lit_share)
+    changes = [seen_change(change).model_dump(mode="json") for change in seen]
+    ends = {"from_s": times[0] / 1e9, "to_s": times[-1] / 1e9} if times else {"from_s": 0.0, "to_s": 0.0}
+    return {"changes": changes, **ends}
+
+
+def _stretch(request: GlimpseRequest, times: list[int]) -> Iterator[tuple[int, Image]]:
+    """The frames of the stretch; their times are noted."""
+    for time_ns, image in frames_from(request.path, request.start_ns):
+        if time_ns > request.start_ns + request.duration_ns:
+            return
+        times.append(time_ns)
+        yield time_ns, image
+
+
+def _jpeg(image: Image) -> bytes:
+    done, data = cv2.imencode(".jpg", image, [cv2.IMWRITE_JPEG_QUALITY, 88])
+    assert done, "a frame of three colours can be written"
+    return data.tobytes()
+
+
+if __name__ == "__main__":
+    try:
+        answer, jpeg = main(GlimpseRequest.model_validate_json(sys.argv[1]))
+        line: dict[str, object] = {"header": answer}
+    except WibamError as error:
+        line, jpeg = {"error": error.to_dict()}, b""
+    sys.stdout.buffer.write(json.dumps(line).encode() + b"\n" + jpeg)

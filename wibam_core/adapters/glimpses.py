@@ -1,0 +1,96 @@
+"""Short looks into uploaded recordings, each in a confined process of its own (`wibam_core.adapters.glimpse`)."""
+
+from __future__ import annotations
+
+import json
+import os
+import subprocess
+import sys
+import threading
+from pathlib import Path
+from typing import Any, Literal
+
+from pydantic import BaseModel, ConfigDict
+
+import wibam_core
+from wibam_core.adapters import confine
+from wibam_core.errors import ServiceUnavailable, UnreadableVideo, WibamError
+from wibam_core.site import SignalRegion
+
+_INHERITED = ("PATH", "LANG", "LC_ALL", "TZ", "LD_LIBRARY_PATH", "VIRTUAL_ENV")
+
+
+class GlimpseRequest(BaseModel):
+    """What to look for.
+
+    Attributes:
+        look: "header", the "frame" at a time, or the "signals" of a stretch.
+        path: of the recording, the service's own.
+        start_ns: on the recording's clock. duration_ns: of the stretch.
+        width_px: the frame is no wider.
+        regions: of signals.
+    """
+
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+    look: Literal["header", "frame", "signals"]
+    path: Path
+    start_ns: int = 0
+    duration_ns: int = 0
+    width_px: int | None = None
+    regions: tuple[SignalRegion, ...] = ()
+
+
+class Glimpses:
+    """Looks into recordings, a few at a time.
+
+    Args:
+        at_once: how many processes may run.
+        patience_s: a look that takes longer is given up.
+    """
+
+    def __init__(self, at_once: int = 2, patience_s: float = 60.0) -> None:
+        self._places = threading.BoundedSemaphore(at_once)
+        self._patience_s = patience_s
+
+    def look(self, request: GlimpseRequest) -> tuple[dict[str, Any], bytes]:
+        """What `wibam_core.adapters.glimpse.main` answers.
+
+        Raises:
+            WibamError: whatever the process says is wrong with the recording.
+            ServiceUnavailable: too many looks are under way, or this one takes too long.
+        """
+        if not self._places.acquire(timeout=self._patience_s / 2):
+            raise ServiceUnavailable("the service looks into other recordings", hint="Try again in a moment.")
+        try:
+            done = subprocess.run(
+                _command(request), capture_output=True, timeout=self._patience_s, env=_environment(), check=False
+            )
+        except subprocess.TimeoutExpired as error:
+            raise ServiceUnavailable(
+                f"the recording was not read within {self._patience_s:g} s", hint="Ask for a shorter stretch."
+            ) from error
+        finally:
+            self._places.release()
+        head, _, rest = done.stdout.partition(b"\n")
+        try:
+            answer = json.loads(head)
+        except ValueError:
+            raise UnreadableVideo(
+                "the recording could not be decoded", hint="Upload it again, or convert it to H.264."
+            ) from None
+        if "error" in answer:
+            raise WibamError.from_dict(answer["error"])
+        return answer["header"], rest
+
+
+def _command(request: GlimpseRequest) -> list[str]:
+    shim = [sys.executable, "-I", "-S", confine.__file__, "--parent", str(os.getpid()), "--nice", "5"]
+    program = [sys.executable, "-P", "-m", "wibam_core.adapters.glimpse", request.model_dump_json()]
+    return [*shim, "--offline", "--expendable", "--limited", "--", *program]
+
+
+def _environment() -> dict[str, str]:
+    """Without our secrets."""
+    kept = {name: os.environ[name] for name in _INHERITED if name in os.environ}
+    return {**kept, "PYTHONPATH": str(Path(wibam_core.__file__).resolve().parent.parent), "OMP_NUM_THREADS": "1"}
