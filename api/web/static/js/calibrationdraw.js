@@ -1,7 +1,7 @@
 // What a solved camera looks like: grid and horizon in the frame, points with their errors, camera and view on the plan.
 import { drawView, token } from "./plan.js";
 
-const GRID_M = 5, GRID_RANGE_M = 60;
+const GRID_M = 5, GRID_RANGE_M = 60, PIECES = 24;
 
 /** @param {import("./frameview.js").FrameView} view @param {CanvasRenderingContext2D} context @param {import("./projection.js").Camera} camera */
 export function drawGround(view, context, camera) {
@@ -10,8 +10,11 @@ export function drawGround(view, context, camera) {
   for (let k = -GRID_RANGE_M; k <= GRID_RANGE_M; k += GRID_M) {
     context.lineWidth = k % (2 * GRID_M) ? 1 : 1.8;
     for (const [from, to] of [[[x0 + k, y0 - GRID_RANGE_M, 0], [x0 + k, y0 + GRID_RANGE_M, 0]], [[x0 - GRID_RANGE_M, y0 + k, 0], [x0 + GRID_RANGE_M, y0 + k, 0]]]) {
-      const line = camera.line(from, to, 24).filter((pixel) => Math.abs(pixel[0]) < 1e5 && Math.abs(pixel[1]) < 1e5);
-      if (line.length > 1) { view.trace(context, line); context.stroke(); }
+      for (let piece = 0; piece < PIECES; piece += 1) { // close to the camera a line runs far out of the picture: only pieces do
+        const at = (/** @type {number} */ share) => from.map((value, axis) => value + share * (to[axis] - value));
+        const line = camera.line(at(piece / PIECES), at((piece + 1) / PIECES), 2);
+        if (line.length && line.every((pixel) => Math.abs(pixel[0]) < 1e5 && Math.abs(pixel[1]) < 1e5)) { view.trace(context, line); context.stroke(); }
+      }
     }
   }
   drawHorizon(view, context, camera);
