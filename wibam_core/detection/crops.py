@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from wibam_core.detection.boxes import FloatArray, Image
+from wibam_core.detection.planes import shares_of
 from wibam_core.geometry.pixels import resized_image
 
 #: Sides of the box that a crop shows, and its side in px.
@@ -70,6 +71,5 @@ def blob(image: Image, still: Image, boxes: FloatArray) -> tuple[NDArray[np.floa
     windows = [window(box) for box in boxes]
     crops = np.empty((len(boxes), 7, CROP_PX, CROP_PX), np.float32)
     for row, where in enumerate(windows):
-        for channel, values in enumerate((*cv2.split(crop(image, where)), *cv2.split(crop(still, where)))):
-            np.divide(values, 255.0, out=crops[row, channel], casting="unsafe")
+        crops[row] = shares_of((*cv2.split(crop(image, where)), *cv2.split(crop(still, where))))
     return crops, windows

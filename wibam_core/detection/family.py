@@ -6,11 +6,13 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Literal, Protocol
 
+import cv2
 import numpy as np
 import onnxruntime
 from numpy.typing import NDArray
 
 from wibam_core.detection.boxes import Found, Image
+from wibam_core.detection.planes import shares_of
 from wibam_core.road_users import RoadUserClass
 
 
@@ -54,10 +56,9 @@ class DetectorCard:
 
     def run(self, session: onnxruntime.InferenceSession, image_bgr: Image) -> list[NDArray[np.float32]]:
         """The outputs, in the card's order, of an image (H, W, 3) uint8, BGR, of the network's own size."""
-        planes = image_bgr.transpose(2, 0, 1)
-        values = np.empty((1, *planes.shape), dtype=np.float32)
+        planes = cv2.split(image_bgr)
         ordered = planes if self.channels == "BGR" else planes[::-1]
-        np.divide(ordered, 255.0 / self.highest, out=values[0], casting="unsafe")
+        values = shares_of(ordered, self.highest)[None]
         name = self.input_name or session.get_inputs()[0].name
         wanted = None if self.outputs is None else list(self.outputs)
         return list(session.run(wanted, {name: values}))

@@ -22,6 +22,7 @@ from wibam_core.artifacts.catalogue import (
 )
 from wibam_core.config import DetectConfig
 from wibam_core.detection.background import BackgroundFrames
+from wibam_core.detection.boxes import Image
 from wibam_core.detection.detector import BUNDLED, load_detector
 from wibam_core.detection.family import Detector
 from wibam_core.detection.instants import annotated, frames_of
@@ -32,7 +33,7 @@ from wibam_core.formats.framestore import FrameStore
 from wibam_core.progress import Progress, part
 from wibam_core.scene import Boxes2D, FrameKey
 from wibam_core.stages.base import StageContext, Summary
-from wibam_core.stages.second_look import background_frames, look_again
+from wibam_core.stages.second_look import FirstLook, background_frames, look_again
 
 #: Frames that are in work at one time.
 _CHUNK = 64
@@ -71,14 +72,19 @@ def run(context: StageContext, config: DetectConfig) -> Summary:
     known = _known(context, DETECTIONS, frames)
     looks = _known(context, BACKGROUND_DETECTIONS, of_backgrounds)
     missing = [frame for frame in frames if frame not in known]
-    to_search = sorted({*missing, *of_backgrounds} - looks.keys())
-    looks |= _search_all(store, to_search, detector, part(context.progress, 0.0, 0.5 if refined else 1.0))
-    seen = looks | known
+    first_look = partial(_first_look, store, detector)
+    if refined:
+        to_search = [frame for frame in of_backgrounds if frame not in looks]
+        share = len(to_search) / max(len(to_search) + len(missing), 1)
+        searching, looking = part(context.progress, 0.0, share), part(context.progress, share, 1.0)
+        looks |= _search_all(store, to_search, first_look, searching)
+        seen = known | dict(look_again(store, missing, looks, first_look, shown, config, looking))
+    else:
+        seen = known | dict(_search_all(store, missing, first_look, context.progress))
     if not any(len(seen[frame].boxes) for frame in frames):
         raise NoVehicles(f"no vehicle was detected in {len(frames)} frames of {len(store.camera_ids)} cameras")
     if refined:
         context.write(BACKGROUND_DETECTIONS, {frame: looks[frame] for frame in of_backgrounds})
-        seen = known | dict(look_again(store, missing, looks, shown, config, part(context.progress, 0.5, 1.0)))
     detected = {frame: seen[frame] for frame in frames}
     if rig is not None:
         detected = seen_once(detected, rig)
@@ -112,18 +118,22 @@ def _detector(context: StageContext, config: DetectConfig) -> Detector:
 
 
 def _search_all(
-    store: FrameStore, frames: Sequence[FrameKey], detector: Detector, progress: Progress
+    store: FrameStore, frames: Sequence[FrameKey], first_look: FirstLook, progress: Progress
 ) -> Iterator[tuple[FrameKey, Boxes2D]]:
     """The frames in order with a first look at each; several side by side, each on one thread."""
+
+    def searched(frame: FrameKey) -> Boxes2D:
+        return first_look(frame, store.image_at(*frame))
+
     with ThreadPoolExecutor(max_workers=len(os.sched_getaffinity(0))) as pool:
         for start in range(0, len(frames), _CHUNK):
             chunk = frames[start : start + _CHUNK]
-            yield from zip(chunk, pool.map(partial(_searched, store, detector), chunk), strict=True)
+            yield from zip(chunk, pool.map(searched, chunk), strict=True)
             done = start + len(chunk)
             progress(done / len(frames), f"{done} of {len(frames)} frames")
 
 
-def _searched(store: FrameStore, detector: Detector, frame: FrameKey) -> Boxes2D:
-    found = detector.detect(store.image_at(*frame))
+def _first_look(store: FrameStore, detector: Detector, frame: FrameKey, image: Image) -> Boxes2D:
+    found = detector.detect(image)
     unknown = np.full((len(found.boxes), 4), np.nan)
     return Boxes2D(store.to_native_px(frame.camera_id, found.boxes), found.scores, found.classes, unknown, unknown)

@@ -1,16 +1,19 @@
-"""The second half of detection: every box again, against what its camera shows without vehicles."""
+"""Detection in two looks: every box again, against what its camera shows without vehicles.
+
+A frame is read and decoded once for both.
+"""
 
 from __future__ import annotations
 
 import os
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from functools import partial
 from itertools import groupby, repeat
 
 from wibam_core.config import DetectConfig
 from wibam_core.detection.background import BackgroundFrames, StillBackground, still_background
-from wibam_core.detection.boxes import Found
+from wibam_core.detection.boxes import Found, Image
 from wibam_core.detection.edge_refiner import EdgeRefiner
 from wibam_core.formats.framestore import FrameStore
 from wibam_core.geometry.pixels import scale_of
@@ -19,6 +22,8 @@ from wibam_core.scene import Boxes2D, FrameKey
 
 #: Camera id -> which frames show its background.
 Shown = Mapping[str, BackgroundFrames]
+#: What is detected in an image, which is that of a frame, px of the recording.
+FirstLook = Callable[[FrameKey, Image], Boxes2D]
 
 
 def background_frames(frames: Iterable[FrameKey], shown: Shown) -> list[FrameKey]:
@@ -30,7 +35,8 @@ def background_frames(frames: Iterable[FrameKey], shown: Shown) -> list[FrameKey
 def look_again(
     store: FrameStore,
     frames: Sequence[FrameKey],
-    first_looks: Mapping[FrameKey, Boxes2D],
+    known_looks: Mapping[FrameKey, Boxes2D],
+    first_look: FirstLook,
     shown: Shown,
     config: DetectConfig,
     progress: Progress,
@@ -40,7 +46,8 @@ def look_again(
     Args:
         store: holds the images.
         frames: which.
-        first_looks: what was detected in them and in the frames of their backgrounds, px of the recording.
+        known_looks: what was detected in the frames of their backgrounds, and in any others, px of the recording.
+        first_look: asked for what it does not hold.
         shown: camera id -> which frames show its background.
         config: which detector it was, and what counts as found twice.
         progress: told now and then.
@@ -53,7 +60,7 @@ def look_again(
     def background(camera_id: str, block: int) -> StillBackground:
         there = [FrameKey(camera_id, local_ns) for local_ns in shown[camera_id].of_block(block)]
         images = [store.image_at(*frame) for frame in there]
-        return still_background(images, [store.to_stored_px(camera_id, first_looks[frame].boxes) for frame in there])
+        return still_background(images, [store.to_stored_px(camera_id, known_looks[frame].boxes) for frame in there])
 
     done = 0
     with ThreadPoolExecutor(max_workers=len(os.sched_getaffinity(0))) as pool:
@@ -61,25 +68,27 @@ def look_again(
             of_block = list(group)
             cameras = sorted({frame.camera_id for frame in of_block})
             backgrounds = dict(zip(cameras, pool.map(background, cameras, repeat(block)), strict=True))
-            refine = partial(_refined, store, refiner, backgrounds, first_looks, config)
+            refine = partial(_refined, store, refiner, backgrounds, known_looks, first_look, config)
             for frame, boxes in zip(of_block, pool.map(refine, of_block), strict=True):
                 yield frame, boxes
                 done += 1
                 if done % 200 == 0 or done == len(frames):
-                    progress(done / len(frames), f"edges: {done} of {len(frames)} frames")
+                    progress(done / len(frames), f"{done} of {len(frames)} frames")
 
 
 def _refined(
     store: FrameStore,
     refiner: EdgeRefiner,
     backgrounds: Mapping[str, StillBackground],
-    first_looks: Mapping[FrameKey, Boxes2D],
+    known_looks: Mapping[FrameKey, Boxes2D],
+    first_look: FirstLook,
     config: DetectConfig,
     frame: FrameKey,
 ) -> Boxes2D:
-    camera_id, seen = frame.camera_id, first_looks[frame]
+    camera_id, image = frame.camera_id, store.image_at(*frame)
+    seen = known_looks[frame] if frame in known_looks else first_look(frame, image)
     found = refiner.refine(
-        store.image_at(*frame),
+        image,
         backgrounds[camera_id],
         Found(store.to_stored_px(camera_id, seen.boxes), seen.scores, seen.classes),
         nms_iou=config.nms_iou,

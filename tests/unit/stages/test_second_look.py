@@ -43,12 +43,16 @@ class Recorded:
 
     def refined(self, progress: Progress = silent, block_s: float = 120.0, **options: str) -> dict[FrameKey, Boxes2D]:
         config = DetectConfig(**options)
-        return dict(look_again(self.store, self.frames, self.seen, self.shown(block_s), config, progress))
+        return dict(look_again(self.store, self.frames, self.seen, not_asked, self.shown(block_s), config, progress))
 
     def background(self) -> StillBackground:
         there = background_frames(self.frames, self.shown())
         boxes = [self.store.to_stored_px("a", self.seen[frame].boxes) for frame in there]
         return still_background([self.store.image_at(*frame) for frame in there], boxes)
+
+
+def not_asked(frame: FrameKey, image: np.ndarray) -> Boxes2D:
+    raise AssertionError(f"{frame} was looked at before")
 
 
 def some(boxes: np.ndarray, kind: int = 0) -> Boxes2D:
@@ -143,6 +147,29 @@ def test_what_a_frame_shows_does_not_depend_on_the_other_frames(recorded: Record
     """Those of its background aside, which are always the same."""
     together = recorded.refined()
     for frame in recorded.frames[::4]:
-        alone = dict(look_again(recorded.store, [frame], recorded.seen, recorded.shown(), DetectConfig(), silent))
+        alone = dict(
+            look_again(recorded.store, [frame], recorded.seen, not_asked, recorded.shown(), DetectConfig(), silent)
+        )
         for one, other in zip(alone[frame], together[frame], strict=True):
             np.testing.assert_array_equal(one, other)
+
+
+def test_a_frame_is_decoded_once_for_both_looks(recorded: Recorded, monkeypatch: pytest.MonkeyPatch) -> None:
+    new = recorded.frames[3]
+    decoded: list[FrameKey] = []
+    of_stores = FrameStore.image_at
+
+    def image_at(store: FrameStore, camera_id: str, local_ns: int) -> np.ndarray:
+        decoded.append(FrameKey(camera_id, local_ns))
+        return of_stores(store, camera_id, local_ns)
+
+    def first_look(frame: FrameKey, image: np.ndarray) -> Boxes2D:
+        np.testing.assert_array_equal(image, of_stores(recorded.store, *frame))
+        return recorded.seen[frame]
+
+    looks = {frame: seen for frame, seen in recorded.seen.items() if frame != new}
+    shown = BackgroundFrames(recorded.store.stored_ns("a"), np.delete(recorded.store.stored_ns("a"), 3), 120.0)
+    monkeypatch.setattr(FrameStore, "image_at", image_at)
+    found = dict(look_again(recorded.store, [new], looks, first_look, {"a": shown}, DetectConfig(), silent))
+    assert len(found[new].boxes) > 0
+    assert decoded.count(new) == 1
