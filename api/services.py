@@ -15,6 +15,7 @@ from wibam_core.adapters.job_store import JobStore
 from wibam_core.adapters.lease_store import LeaseStore
 from wibam_core.adapters.queue import JobQueue, make_celery
 from wibam_core.adapters.results import JobResults
+from wibam_core.adapters.review_store import ReviewStore
 from wibam_core.adapters.settings import ServiceSettings
 from wibam_core.adapters.site_store import SiteStore
 from wibam_core.adapters.uploads import UploadService
@@ -35,6 +36,7 @@ class Services:
     queue: JobQueue
     results: JobResults
     stages: StageStore
+    reviews: ReviewStore
     passes: Passes
     glimpses: Glimpses
 
@@ -57,6 +59,7 @@ class Services:
             queue=JobQueue(make_celery(settings.broker_url)),
             results=JobResults(folder.stages),
             stages=StageStore(folder.stages),
+            reviews=ReviewStore(database),
             passes=Passes(settings.token_sha256),
             glimpses=Glimpses(),
         )

@@ -135,14 +135,22 @@ def tracks(
     dependencies=[ONLY_KNOWN_PARAMETERS],
     responses={200: {"model": Conflicts, "content": {"text/csv": {}}}},
 )
-def conflicts(job_id: str, services: ServicesDep, format: Literal["json", "csv"] = "json") -> Response:
+def conflicts(
+    job_id: str,
+    services: ServicesDep,
+    format: Literal["json", "csv"] = "json",
+    reviews: Annotated[bool, Query(description="in the CSV: columns with what people said of each")] = False,
+) -> Response:
     """Pairs of vehicles whose time to collision or post-encroachment time fell below the thresholds, with intervals."""
     job = services.jobs.job(job_id)
     document = services.results.read(job, catalogue.CONFLICTS)
     if format == "json":
         return Response(document.model_dump_json(), media_type="application/json")
     headers = {"Content-Disposition": f'attachment; filename="{job.id}-conflicts.csv"'}
-    return StreamingResponse(conflicts_csv(document), media_type="text/csv; charset=utf-8", headers=headers)
+    stage = job.stage(catalogue.CONFLICTS.stage)
+    said = services.reviews.reviews(job.id, stage.hash) if reviews and stage is not None else None
+    verdicts = None if said is None else {one.conflict_id: (one.verdict.value, one.note) for one in said}
+    return StreamingResponse(conflicts_csv(document, verdicts), media_type="text/csv; charset=utf-8", headers=headers)
 
 
 @router.get("/artifacts", summary="List the files of a job")

@@ -199,3 +199,8 @@ def camera(site_id: Id, camera_id: Id) -> HTMLResponse:
 @router.get("/jobs/{job_id}/player")
 def player(job_id: Id, read_only: ReadOnly) -> HTMLResponse:
     return page("player", read_only=read_only, job=job_id)
+
+
+@router.get("/jobs/{job_id}/conflicts")
+def conflicts(job_id: Id, read_only: ReadOnly) -> HTMLResponse:
+    return page("conflicts", read_only=read_only, job=job_id)

@@ -154,6 +154,19 @@ class StageRow(Base):
     finished_at: Mapped[float | None]
 
 
+class ConflictReviewRow(Base):
+    """What somebody said of a conflict in the outputs of a safety stage; ``hash`` is their address."""
+
+    __tablename__ = "conflict_reviews"
+
+    job_id: Mapped[str] = mapped_column(ForeignKey("jobs.id", ondelete="CASCADE"), primary_key=True)
+    hash: Mapped[str] = mapped_column(String(64), primary_key=True)
+    conflict_id: Mapped[int] = mapped_column(primary_key=True)
+    verdict: Mapped[str] = mapped_column(String(16))
+    note: Mapped[str] = mapped_column(Text)
+    reviewed_at: Mapped[float]
+
+
 class EventRow(Base):
     __tablename__ = "events"
 

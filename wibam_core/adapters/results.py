@@ -123,11 +123,21 @@ def _result_file(artifact: Artifact[Any], name: str, facts: FileFacts, folder: P
     return ResultFile(f"{stage}/{name}", stage, name, artifact, facts.bytes, facts.sha256, folder / name)
 
 
-def conflicts_csv(document: Conflicts) -> Iterator[str]:
-    """Conflicts as CSV: pairs become two columns each, intervals ``_low`` and ``_high``, measures one by name."""
-    rows = [_flat(conflict) for conflict in document.conflicts]
+def conflicts_csv(document: Conflicts, verdicts: Mapping[int, tuple[str, str]] | None = None) -> Iterator[str]:
+    """Conflicts as CSV: pairs become two columns each, intervals ``_low`` and ``_high``, measures one by name.
+
+    Args:
+        document: the conflicts.
+        verdicts: conflict id -> what was said of it and the note, for two more columns; None for none.
+    """
+    rows = [dict(_flat(conflict)) for conflict in document.conflicts]
+    columns = list(rows[0]) if rows else _columns()
+    if verdicts is not None:
+        columns += _REVIEW
+        for row in rows:
+            row |= dict(zip(_REVIEW, verdicts.get(row["conflict_id"], ("", "")), strict=True))
     buffer = io.StringIO()
-    writer = csv.DictWriter(buffer, list(rows[0]) if rows else _columns())
+    writer = csv.DictWriter(buffer, columns)
     writer.writeheader()
     for row in rows:
         writer.writerow(row)
@@ -135,6 +145,10 @@ def conflicts_csv(document: Conflicts) -> Iterator[str]:
         buffer.seek(0)
         buffer.truncate()
     yield buffer.getvalue()
+
+
+#: Columns of what people said of conflicts.
+_REVIEW = ("verdict", "note")
 
 
 def _flat(conflict: ConflictRow) -> Mapping[str, Any]:
