@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
-from tests.builders import AMBIGUOUS
+from tests.builders import AMBIGUOUS, corner_rig
 from tests.service import LiveApi
 from wibam_core.adapters.job_rows import StageKey
 from wibam_core.artifacts import catalogue
@@ -106,6 +106,8 @@ def _write(stage: str, folder: Path, onnx: bool) -> None:
     writer = ArtifactWriter(stage, folder, made_by(stage))
     if stage == "preflight":
         writer.write(catalogue.PROBE, Probe(cameras={"cam1": VIDEO}))
+    if stage == "calibrate":
+        writer.write(catalogue.RIG, corner_rig(1))
     if stage == "finetune":
         writer.new_file(catalogue.WEIGHTS).write_bytes(bytes(range(256)) * 4)
         if onnx:

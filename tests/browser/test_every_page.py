@@ -1,0 +1,115 @@
+"""What holds for every page: nothing serious for axe-core in light and dark, not large, usable by keys."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import pytest
+
+from tests.browser.conftest import Visit, visit
+from tests.finished import finished_job
+from tests.service import LiveApi
+
+PAGES = {
+    "sign-in": lambda site, job: "/sign-in",
+    "jobs": lambda site, job: "/jobs",
+    "job": lambda site, job: f"/jobs/{job}",
+    "results": lambda site, job: f"/jobs/{job}/results",
+    "player": lambda site, job: f"/jobs/{job}/player",
+    "conflicts": lambda site, job: f"/jobs/{job}/conflicts",
+    "sites": lambda site, job: "/sites",
+    "site": lambda site, job: f"/sites/{site}",
+    "camera": lambda site, job: f"/sites/{site}/cameras/cam1",
+}
+LARGEST_BYTES = 300_000
+
+
+@pytest.fixture(scope="module")
+def ids(api: LiveApi) -> tuple[str, str]:
+    """A site, and a finished job of another."""
+    return api.site(), finished_job(api)
+
+
+@pytest.mark.parametrize("scheme", ["light", "dark"])
+@pytest.mark.parametrize("name", PAGES)
+def test_axe_finds_nothing_serious(
+    playwright_browser: Any, api: LiveApi, ids: tuple[str, str], name: str, scheme: str
+) -> None:
+    axe = pytest.importorskip("axe_playwright_python.sync_playwright", reason="axe is not installed: make setup").Axe()
+    address: Callable[[str, str], str] = PAGES[name]
+    with visit(playwright_browser, api.url, color_scheme=scheme) as tab:
+        if name != "sign-in":
+            tab.sign_in()
+        tab.open(address(*ids))
+        tab.page.wait_for_load_state("networkidle" if name != "job" else "load")
+        if name == "job":
+            tab.page.locator(".graph .stage").first.wait_for()
+        found = axe.run(tab.page).response["violations"]
+        serious = [
+            f"{one['id']}: {node['target']} {node['html'][:120]} {node['failureSummary'][:200]}"
+            for one in found
+            if one["impact"] in ("serious", "critical")
+            for node in one["nodes"]
+        ]
+        assert serious == []
+
+
+@pytest.mark.parametrize("name", PAGES)
+def test_a_first_view_is_small(playwright_browser: Any, api: LiveApi, ids: tuple[str, str], name: str) -> None:
+    with visit(playwright_browser, api.url) as tab:
+        sizes: list[int] = []
+
+        def count(response: Any) -> None:
+            if "/frame" not in response.url and response.request.resource_type != "eventsource" and response.ok:
+                sizes.append(len(response.body()))
+
+        if name != "sign-in":
+            tab.sign_in()
+        tab.page.on("requestfinished", lambda request: count(request.response()))
+        tab.open(PAGES[name](*ids))
+        tab.page.wait_for_timeout(1000)
+        assert 1000 < sum(sizes) < LARGEST_BYTES
+
+
+def test_a_phone_shows_results_without_scrolling_sideways(
+    playwright_browser: Any, api: LiveApi, ids: tuple[str, str]
+) -> None:
+    with visit(playwright_browser, api.url) as tab:
+        tab.page.set_viewport_size({"width": 390, "height": 800})
+        tab.sign_in()
+        for name in ("results", "conflicts", "jobs", "job"):
+            tab.open(PAGES[name](*ids))
+            tab.page.wait_for_timeout(500)
+            beyond = tab.page.evaluate("document.documentElement.scrollWidth - document.documentElement.clientWidth")
+            assert beyond <= 0, name
+
+
+def test_keys_alone_lead_to_the_content_and_into_a_job(signed_in: Visit, ids: tuple[str, str]) -> None:
+    page = signed_in.page
+    page.locator("#jobs a").first.wait_for()
+    page.keyboard.press("Tab")
+    assert page.evaluate("document.activeElement.textContent") == "Skip to the content"
+    page.keyboard.press("Enter")
+    for _ in range(12):
+        page.keyboard.press("Tab")
+        if page.evaluate("document.activeElement.closest('#jobs') !== null && document.activeElement.tagName === 'A'"):
+            break
+    page.keyboard.press("Enter")
+    page.wait_for_url("**/jobs/job_*")
+    signed_in.complaints.clear()
+
+
+def test_conflicts_are_reviewed_and_open_the_player(signed_in: Visit, api: LiveApi, ids: tuple[str, str]) -> None:
+    job = ids[1]
+    page = signed_in.open(f"/jobs/{job}/conflicts")
+    page.get_by_role("button", name="Conflict 0: confirmed").click()
+    page.get_by_text("1 of 1 conflicts; 1 reviewed.").wait_for()
+    page.get_by_label("Note on conflict 0").fill("seen twice")
+    page.keyboard.press("Enter")
+    page.locator("#verdict").select_option("rejected")
+    page.get_by_text("No conflict is like that").wait_for()
+    page.locator("#verdict").select_option("confirmed")
+    [review] = api.http.get(f"/v1/jobs/{job}/conflicts/reviews").json()
+    assert (review["verdict"], review["note"]) == ("confirmed", "seen twice")
+    signed_in.complaints.clear()  # the job has no rig: the console names its address
