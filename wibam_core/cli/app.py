@@ -24,6 +24,7 @@ COMMANDS: Mapping[str, tuple[str, str]] = MappingProxyType(
     {
         **{name: (name, name) for name in ("demo", "run", "serve", "upload", "sites", "tracks", "export")},
         "import": ("importing", "import_data"),
+        "calibration": ("calibration", "calibration"),
         **{name: (name, name) for name in ("simulate", "detect", "signals", "track")},
         **{name: (name, "app") for name in ("jobs", "weights")},
     }

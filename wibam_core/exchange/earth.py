@@ -1,4 +1,4 @@
-"""From a site's world to Earth: geographic and projected coordinates."""
+"""From a site's world to Earth, and back: geographic and projected coordinates."""
 
 from __future__ import annotations
 
@@ -62,6 +62,12 @@ class Earth:
         """
         positions = self._geographic(points_m)
         return positions if self._origin.altitude_m is not None else positions[:, :2]
+
+    def world(self, longitude_deg: FloatArray, latitude_deg: FloatArray, altitude_m: FloatArray) -> FloatArray:
+        """World points (N, 3) of places on Earth (N,), WGS 84; an altitude that is NaN is that of the origin."""
+        level = np.where(np.isnan(altitude_m), self._origin.altitude_m or 0.0, altitude_m)
+        east, north, up = self._from_topocentric.transform(longitude_deg, latitude_deg, level, direction="INVERSE")
+        return np.column_stack([np.column_stack([east, north]) @ self._axes, up])
 
     def projected(self, points_m: FloatArray) -> FloatArray:
         """Easting and northing (N, 2) in m of world points (N, 3)."""

@@ -1,0 +1,1 @@
+"""Calibrations and surveyed points as other programs write them: one module a format, listed in `registry`."""

@@ -1,0 +1,42 @@
+"""All formats that calibrations and points are read from, and which one a file is of."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+
+from wibam_core.calibration.foreign.base import FoundCamera, Reader
+from wibam_core.calibration.foreign.colmap import COLMAP_CAMERAS, COLMAP_IMAGES
+from wibam_core.calibration.foreign.geojson import GEOJSON
+from wibam_core.calibration.foreign.kalibr import KALIBR
+from wibam_core.calibration.foreign.matlab import MATLAB
+from wibam_core.calibration.foreign.opencv import OPENCV
+from wibam_core.calibration.foreign.qgis import QGIS
+from wibam_core.calibration.foreign.tumtraf import TUMTRAF
+from wibam_core.errors import InputError
+from wibam_core.exchange.files import read_text
+
+#: Asked in this order: what is more particular comes first.
+READERS: tuple[Reader, ...] = (
+    QGIS, GEOJSON, TUMTRAF, MATLAB, KALIBR, OPENCV, COLMAP_CAMERAS, COLMAP_IMAGES,
+)  # fmt: skip
+#: Larger files are no calibration.
+_MAX_BYTES = 1 << 26
+
+
+def read_file(path: Path) -> tuple[Reader, Sequence[FoundCamera]]:
+    """What a file is, and the cameras in it.
+
+    Raises:
+        InputError: it is of no known format, or broken.
+    """
+    text = read_text(path, _MAX_BYTES)
+    reader = next((reader for reader in READERS if reader.recognises(path.name.lower(), text)), None)
+    if reader is None:
+        raise InputError(
+            f"{path.name} is of no known calibration format", hint=f"Known are {', '.join(r.name for r in READERS)}."
+        )
+    try:
+        return reader, reader.read(text)
+    except InputError as error:
+        raise InputError(f"{path.name} ({reader.name}): {error.message}", hint=error.hint, **error.details) from error
