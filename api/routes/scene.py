@@ -17,7 +17,7 @@ from wibam_core.formats.framestore import FrameStore
 from wibam_core.geometry.camera import Camera
 from wibam_core.jobs.records import Job
 from wibam_core.road_users import CLASSES
-from wibam_core.site import Origin
+from wibam_core.site import Lens, Origin
 
 router = APIRouter(prefix="/v1/jobs/{job_id}", tags=["results"], responses=documented(401, 404, 409))
 
@@ -30,10 +30,13 @@ class SceneCameraOut(BaseModel):
     height_px: int
     K: list[list[float]] = Field(description="(3, 3) intrinsic matrix in px")
     dist: list[float] = Field(description="distortion coefficients in OpenCV order")
+    lens: Lens
+    xi: float = Field(description="of an omnidirectional lens")
     distortion_limit: float | None = Field(
-        description="undistorted radius (tan of the angle to the axis) beyond which the distortion goes on in straight "
-        "lines; null without distortion"
+        description="undistorted radius (of a pinhole: tan of the angle to the axis) beyond which the distortion goes "
+        "on in straight lines; null where there is none"
     )
+    limit_rad: float | None = Field(description="angle to the axis beyond which a wide lens sees nothing")
     T_world_cam: list[list[float]] = Field(description="(3, 4) pose [R|t] in m: x_world = R x_cam + t")
     stored_width_px: int | None = Field(description="of the frames; null before they are read")
     stored_height_px: int | None
@@ -69,13 +72,17 @@ class InstantsOut(BaseModel):
 
 def scene_camera(camera_id: str, camera: Camera, stored: tuple[int, int] | None) -> SceneCameraOut:
     """A camera as the API says it."""
-    limit = camera.distortion_limit
+    wide = camera.wide_lens if camera.is_wide else None
+    limit = getattr(wide, "distortion_limit", np.inf) if wide is not None else camera.distortion_limit
     return SceneCameraOut(
         id=camera_id,
         width_px=camera.width_px,
         height_px=camera.height_px,
         K=camera.K.tolist(),
         dist=camera.dist.tolist(),
+        lens=camera.lens,
+        xi=camera.xi,
+        limit_rad=None if wide is None else wide.limit_rad,
         distortion_limit=limit if np.isfinite(limit) else None,
         T_world_cam=camera.T_world_cam.matrix[:3].tolist(),
         stored_width_px=None if stored is None else stored[0],

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -11,11 +13,18 @@ from tests.builders import look_at
 from wibam_core.geometry.box3d import corners
 from wibam_core.geometry.ground import intersect_plane
 from wibam_core.geometry.projection import project_boxes
+from wibam_core.site import Lens
 
-LENSES = {
-    "pinhole": (),
-    "barrel": (-0.28, 0.09, 0.001, -0.0005, -0.01),
-    "rational": (0.4, 0.1, 0.0008, -0.0004, 0.01, 0.75, 0.2, 0.02, 0.001, -0.002, 0.001, 0.0005),
+LENSES: dict[str, tuple[Lens, tuple[float, ...], float]] = {
+    "pinhole": ("pinhole", (), 0.0),
+    "barrel": ("pinhole", (-0.28, 0.09, 0.001, -0.0005, -0.01), 0.0),
+    "rational": (
+        "pinhole",
+        (0.4, 0.1, 0.0008, -0.0004, 0.01, 0.75, 0.2, 0.02, 0.001, -0.002, 0.001, 0.0005),
+        0.0,
+    ),
+    "fisheye": ("fisheye", (0.05, -0.02, 0.004, -0.0006), 0.0),
+    "omnidirectional": ("omnidirectional", (-0.1, 0.02, 0.0005, -0.0003), 0.9),
 }
 SCRIPT = """async ([scene, boxes, pixels]) => {
   const { Camera, corners } = await import("/static/js/projection.js");
@@ -29,9 +38,11 @@ SCRIPT = """async ([scene, boxes, pixels]) => {
 }"""
 
 
-@pytest.mark.parametrize("dist", LENSES.values(), ids=LENSES)
-def test_it_is_the_cores(tab: Visit, dist: tuple[float, ...]) -> None:
-    camera = look_at((18.0, -14.0, 7.5), (2.0, 1.0, 0.0), focal_px=420.0, dist=dist)
+@pytest.mark.parametrize("kind", LENSES)
+def test_it_is_the_cores(tab: Visit, kind: str) -> None:
+    lens, dist, xi = LENSES[kind]
+    pinhole = look_at((18.0, -14.0, 7.5), (2.0, 1.0, 0.0), focal_px=420.0 if lens == "pinhole" else 230.0)
+    camera = replace(pinhole, dist=np.array(dist), lens=lens, xi=xi)
     rng = np.random.default_rng(3)
     count = 200
     boxes = np.column_stack(
@@ -49,11 +60,12 @@ def test_it_is_the_cores(tab: Visit, dist: tuple[float, ...]) -> None:
     scene = scene_camera("cam1", camera, None).model_dump()
     found = page.evaluate(SCRIPT, [scene, boxes.tolist(), pixels.tolist()])
     np.testing.assert_allclose(found["corners"], corners(boxes), atol=1e-9)
-    expected, depth = camera.project(corners(boxes))
+    expected, _ = camera.project(corners(boxes))
+    seen = camera.sees(camera.to_camera(corners(boxes)))
     for box in range(count):
         for corner in range(8):
             uv = found["projected"][box][corner]
-            assert (uv is None) == (depth[box, corner] <= 0)
+            assert (uv is None) == (not seen[box, corner])
             if uv is not None and np.abs(expected[box, corner]).max() < 5000:
                 np.testing.assert_allclose(uv, expected[box, corner], atol=0.01)
     around = np.array([[np.nan] * 4 if box is None else box for box in found["around"]])

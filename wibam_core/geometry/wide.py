@@ -114,13 +114,14 @@ class Omnidirectional:
         coefficients: k1, k2, p1, p2.
         widest: (..., 2) points of the lens plane that the image shows; the distortion is not followed far beyond them.
         limit_rad: what is farther from the axis is not seen, by the sphere's geometry.
+        distortion_limit: radius of the ideal lens plane beyond which the distortion goes on in straight lines.
     """
 
     xi: float
     coefficients: tuple[float, float, float, float]
     widest: tuple[tuple[float, float], ...]
     limit_rad: float = field(init=False)
-    _radius_limit: float = field(init=False, repr=False)
+    distortion_limit: float = field(init=False, repr=False)
 
     def __post_init__(self) -> None:
         horizon = np.arccos(-self.xi if self.xi <= 1 else -1 / self.xi)
@@ -128,7 +129,7 @@ class Omnidirectional:
         monotone = distortion.monotone_radius(self._formula)
         border = distortion.undistort(self._formula, np.array(self.widest, dtype=np.float64), monotone)
         reach = float(np.linalg.norm(border, axis=-1).max())
-        object.__setattr__(self, "_radius_limit", min(monotone, distortion.TRUSTED_SHARE * reach))
+        object.__setattr__(self, "distortion_limit", min(monotone, distortion.TRUSTED_SHARE * reach))
 
     @property
     def _formula(self) -> tuple[float, ...]:
@@ -140,11 +141,11 @@ class Omnidirectional:
         along = points_cam[..., 2] + self.xi * np.linalg.norm(points_cam, axis=-1)
         with np.errstate(divide="ignore", invalid="ignore"):
             ideal = np.where(seen[..., None], points_cam[..., :2] / along[..., None], 0.0)
-        return np.where(seen[..., None], distortion.distort(self._formula, ideal, self._radius_limit), np.nan)
+        return np.where(seen[..., None], distortion.distort(self._formula, ideal, self.distortion_limit), np.nan)
 
     def to_directions(self, plane: Array) -> Array:
         """See `WideLens`."""
-        ideal = distortion.undistort(self._formula, plane, self._radius_limit)
+        ideal = distortion.undistort(self._formula, plane, self.distortion_limit)
         r2 = (ideal * ideal).sum(axis=-1)
         with np.errstate(invalid="ignore"):
             lift = (self.xi + np.sqrt(1 + (1 - self.xi**2) * r2)) / (1 + r2)

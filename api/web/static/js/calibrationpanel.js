@@ -28,7 +28,7 @@ export class CalibrationPanel {
     this.kind = given.kind;
     this.matrices = given.kind === "matrices" ? given : null;
     const K = given.K ?? [[this.size[0] * 0.7, 0, (this.size[0] - 1) / 2], [0, this.size[0] * 0.7, (this.size[1] - 1) / 2], [0, 0, 1]];
-    this.lens = { fx: K[0][0], fy: K[1][1], cx: K[0][2], cy: K[1][2], dist: given.dist ?? [] };
+    this.lens = { fx: K[0][0], fy: K[1][1], skew: K[0][1], cx: K[0][2], cy: K[1][2], dist: given.dist ?? [], lens: given.lens ?? "pinhole", xi: given.xi ?? 0 };
     /** @type {Point[]} */
     this.points = (given.correspondences ?? []).map((/** @type {any} */ pair) => ({ u: pair.pixel[0], v: pair.pixel[1], x: pair.world[0], y: pair.world[1], z: pair.world[2] }));
     this.selected = -1;
@@ -51,8 +51,8 @@ export class CalibrationPanel {
     if (this.kind === "matrices") return this.matrices;
     const correspondences = this.complete().map((point) => ({ pixel: [point.u, point.v], world: [point.x, point.y, point.z] }));
     if (this.kind === "homography") return { kind: "homography", correspondences };
-    const { fx, fy, cx, cy, dist } = this.lens;
-    return { kind: "pnp", K: [[fx, 0, cx], [0, fy, cy], [0, 0, 1]], dist, correspondences };
+    const { fx, fy, skew, cx, cy, dist, lens, xi } = this.lens;
+    return { kind: "pnp", K: [[fx, skew, cx], [0, fy, cy], [0, 0, 1]], dist, lens, xi: lens === "omnidirectional" ? xi : 0, correspondences };
   }
 
   complete() {
@@ -148,7 +148,9 @@ export class CalibrationPanel {
     };
     const dist = h("input", { value: this.lens.dist.join(", "), size: 28 });
     dist.addEventListener("change", () => { this.lens.dist = /** @type {HTMLInputElement} */ (dist).value.split(/[\s,;]+/).filter(Boolean).map(Number); this.edited(); });
-    fill(place, h("div.row", null, INTRINSICS.map(field)), h("label", null, "Distortion, in OpenCV's order ", dist));
+    const lens = h("select", null, ["pinhole", "fisheye", "omnidirectional"].map((name) => h("option", { selected: name === this.lens.lens }, name)));
+    lens.addEventListener("change", () => { this.lens.lens = /** @type {HTMLSelectElement} */ (lens).value; this.showIntrinsics(); this.edited(); });
+    fill(place, h("div.row", null, h("label", null, "Lens ", lens), this.lens.lens === "omnidirectional" ? field("xi") : null), h("div.row", null, INTRINSICS.map(field)), h("label", null, "Distortion, in OpenCV's order ", dist));
   }
 
   /** Bring the table up to date. Rows that are there stay, so that whoever types in one goes on typing in it. */

@@ -2,6 +2,8 @@
 // world in m, Z up; camera x right, y down, z forward; pixel (0, 0) is the centre of the top-left pixel.
 // Boxes are arrays [x, y, z, length, width, height, yaw] (m, rad).
 
+import { lensOf } from "./lenses.js";
+
 /**
  * @typedef {Object} SceneCamera as `GET /v1/jobs/{id}/scene` says it
  * @property {string} id
@@ -11,6 +13,9 @@
  * @property {number[]} dist
  * @property {number|null} distortion_limit
  * @property {number[][]} T_world_cam
+ * @property {"pinhole"|"fisheye"|"omnidirectional"} [lens]
+ * @property {number} [xi]
+ * @property {number|null} [limit_rad]
  */
 
 /** Parts of a box nearer than this along the optical axis are cut off before projection (m). */
@@ -18,7 +23,7 @@ export const NEAR_M = 0.1;
 /** Corner numbers of a box's edges: 0 to 3 are the bottom from the front left counter-clockwise, 4 to 7 the top. */
 export const EDGES = [[0, 1], [1, 2], [2, 3], [3, 0], [4, 5], [5, 6], [6, 7], [7, 4], [0, 4], [1, 5], [2, 6], [3, 7]];
 const SIGNS = [[1, 1, -1], [-1, 1, -1], [-1, -1, -1], [1, -1, -1], [1, 1, 1], [-1, 1, 1], [-1, -1, 1], [1, -1, 1]];
-const PIECES = 8;
+const PIECES = 8, WIDE_PIECES = 32;
 
 /** The eight corners of a box in the world. @param {number[]} box @returns {number[][]} */
 export function corners(box) {
@@ -43,9 +48,8 @@ export class Camera {
     this.width = scene.width_px;
     this.height = scene.height_px;
     this.K = scene.K;
-    this.hasDistortion = scene.dist.some((value) => value !== 0);
-    this.dist = [...scene.dist, ...new Array(12).fill(0)].slice(0, 12);
-    this.limit = scene.distortion_limit ?? Infinity;
+    this.lens = lensOf(scene);
+    this.isWide = scene.lens === "fisheye" || scene.lens === "omnidirectional";
     this.rotation = scene.T_world_cam.map((row) => row.slice(0, 3));
     this.centre = scene.T_world_cam.map((row) => row[3]);
   }
@@ -56,25 +60,23 @@ export class Camera {
     return [0, 1, 2].map((k) => R[0][k] * d[0] + R[1][k] * d[1] + R[2][k] * d[2]);
   }
 
-  /** Camera-frame point with positive z to its pixel. @param {number[]} point @returns {number[]} */
+  /** Camera-frame point that the lens sees to its pixel. @param {number[]} point @returns {number[]} */
   pixelOf(point) {
-    let x = point[0] / point[2], y = point[1] / point[2];
-    if (this.hasDistortion) [x, y] = distort(this.dist, x, y, this.limit);
+    const [x, y] = this.lens.toPlane(point);
     return [this.K[0][0] * x + this.K[0][1] * y + this.K[0][2], this.K[1][1] * y + this.K[1][2]];
   }
 
   /** World point to its pixel; null where it is not in front of the camera. @param {number[]} point */
   project(point) {
     const seen = this.toCamera(point);
-    return seen[2] > 0 ? this.pixelOf(seen) : null;
+    return this.lens.sees(seen) ? this.pixelOf(seen) : null;
   }
 
-  /** The ray through a pixel: a direction in the world, from `centre`. @param {number[]} pixel @returns {number[]} */
+  /** The ray through a pixel: a direction in the world, from `centre`; null where the lens has none. @param {number[]} pixel @returns {number[]|null} */
   ray(pixel) {
-    let y = (pixel[1] - this.K[1][2]) / this.K[1][1];
-    let x = (pixel[0] - this.K[0][2] - this.K[0][1] * y) / this.K[0][0];
-    if (this.hasDistortion) [x, y] = undistort(this.dist, x, y, this.limit);
-    const d = [x, y, 1], R = this.rotation;
+    const y = (pixel[1] - this.K[1][2]) / this.K[1][1], x = (pixel[0] - this.K[0][2] - this.K[0][1] * y) / this.K[0][0];
+    const d = this.lens.toDirection([x, y]), R = this.rotation;
+    if (!d) return null;
     const world = [0, 1, 2].map((i) => R[i][0] * d[0] + R[i][1] * d[1] + R[i][2] * d[2]);
     const norm = Math.hypot(...world);
     return world.map((value) => value / norm);
@@ -82,7 +84,9 @@ export class Camera {
 
   /** Where the ray through a pixel meets the plane z = height; null above the horizon. @param {number[]} pixel @param {number} [z] */
   ground(pixel, z = 0) {
-    const d = this.ray(pixel), t = (z - this.centre[2]) / d[2];
+    const d = this.ray(pixel);
+    if (!d) return null;
+    const t = (z - this.centre[2]) / d[2];
     return t > 0 && Number.isFinite(t) ? [this.centre[0] + t * d[0], this.centre[1] + t * d[1], z] : null;
   }
 
@@ -96,8 +100,12 @@ export class Camera {
    * @param {number[]} from @param {number[]} to @param {number} [pieces]
    * @returns {number[][]} pixels; none where nothing of it is in front of the camera
    */
-  line(from, to, pieces = PIECES) {
+  line(from, to, pieces = this.isWide ? WIDE_PIECES : PIECES) {
     let a = this.toCamera(from), b = this.toCamera(to);
+    const at = (/** @type {number} */ t) => a.map((value, k) => value + t * (b[k] - value));
+    if (this.isWide) { // it may see beside and behind itself: the points that it sees count, and there is no near plane
+      return Array.from({ length: pieces + 1 }, (_, i) => at(i / pieces)).filter(this.lens.sees).map((point) => this.pixelOf(point));
+    }
     if (a[2] < NEAR_M && b[2] < NEAR_M) return [];
     const cut = (/** @type {number[]} */ p, /** @type {number[]} */ q) => {
       const t = (NEAR_M - p[2]) / (q[2] - p[2]);
@@ -105,12 +113,8 @@ export class Camera {
     };
     if (a[2] < NEAR_M) a = cut(a, b);
     else if (b[2] < NEAR_M) b = cut(b, a);
-    const count = this.hasDistortion ? pieces : 1, found = [];
-    for (let i = 0; i <= count; i += 1) {
-      const t = i / count;
-      found.push(this.pixelOf([a[0] + t * (b[0] - a[0]), a[1] + t * (b[1] - a[1]), a[2] + t * (b[2] - a[2])]));
-    }
-    return found;
+    const count = this.lens.bends ? pieces : 1;
+    return Array.from({ length: count + 1 }, (_, i) => this.pixelOf(at(i / count)));
   }
 
   /** The edges of a box in the image, in the order of `EDGES`. @param {number[]} box @returns {number[][][]} */
@@ -129,47 +133,4 @@ export class Camera {
     if (x0 >= right || y0 >= bottom || x1 <= -0.5 || y1 <= -0.5) return null;
     return [Math.max(x0, -0.5), Math.max(y0, -0.5), Math.min(x1, right), Math.min(y1, bottom)];
   }
-}
-
-/** OpenCV's distortion, continued in straight lines beyond `limit`. @param {number[]} k @param {number} x @param {number} y @param {number} limit */
-function distort(k, x, y, limit) {
-  const inside = limit / Math.max(Math.hypot(x, y), limit);
-  const scale = Number.isFinite(inside) ? inside : 1;
-  const [dx, dy] = polynomial(k, x * scale, y * scale);
-  return [dx / scale, dy / scale];
-}
-
-/** @param {number[]} k @param {number} x @param {number} y */
-function polynomial(k, x, y) {
-  const [k1, k2, p1, p2, k3, k4, k5, k6, s1, s2, s3, s4] = k;
-  const r2 = x * x + y * y;
-  const radial = (1 + r2 * (k1 + r2 * (k2 + r2 * k3))) / (1 + r2 * (k4 + r2 * (k5 + r2 * k6)));
-  return [
-    x * radial + 2 * p1 * x * y + p2 * (r2 + 2 * x * x) + r2 * (s1 + r2 * s2),
-    y * radial + p1 * (r2 + 2 * y * y) + 2 * p2 * x * y + r2 * (s3 + r2 * s4),
-  ];
-}
-
-/** The inverse of `distort`, by Newton's method with halved steps. @param {number[]} k @param {number} u @param {number} v @param {number} limit */
-function undistort(k, u, v, limit) {
-  let x = u, y = v;
-  const missing = (/** @type {number} */ a, /** @type {number} */ b) => {
-    const [p, q] = distort(k, a, b, limit);
-    return [u - p, v - q];
-  };
-  let [ex, ey] = missing(x, y), error = Math.hypot(ex, ey);
-  for (let step = 0; step < 60 && error > 1e-13; step += 1) {
-    const h = 1e-6 * Math.max(1, Math.hypot(x, y));
-    const [ax, ay] = missing(x + h, y), [bx, by] = missing(x, y + h);
-    const a = (ex - ax) / h, c = (ey - ay) / h, b = (ex - bx) / h, d = (ey - by) / h, det = a * d - b * c;
-    if (!det) break;
-    let sx = (d * ex - b * ey) / det, sy = (a * ey - c * ex) / det, better = false;
-    for (let half = 0; half < 30 && !better; half += 1) {
-      const [nx, ny] = missing(x + sx, y + sy), trial = Math.hypot(nx, ny);
-      better = trial < error;
-      if (better) { x += sx; y += sy; ex = nx; ey = ny; error = trial; } else { sx /= 2; sy /= 2; }
-    }
-    if (!better) break;
-  }
-  return [x, y];
 }
