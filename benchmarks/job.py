@@ -182,7 +182,8 @@ def main() -> None:
         stages = planned_of(folder, config)
         for planned in stages[: 1 + [stage.name for stage in stages].index(arguments.until or stages[-1].name)]:
             if folder.made(planned, store) is None:
-                costs[planned.name] = run_stage(folder, store, config, planned)
+                costs[planned.name] = cost = run_stage(folder, store, config, planned)
+                print(f"{planned.name}: {cost.cpu_s:.1f} CPU-s, peak {cost.peak_bytes / 1e6:.0f} MB", flush=True)
         made = ArtifactReader({stage.name: path for stage in stages if (path := folder.made(stage, store))})
         report(costs, made, bare_s(folder, made, config))
 

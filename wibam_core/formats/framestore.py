@@ -146,6 +146,12 @@ class FrameStoreWriter:
         with self._lock:
             self._instants.setdefault(time_ns, {})[camera_id] = (frame_time_ns, local_ns)
 
+    @property
+    def bytes_written(self) -> int:
+        """Size of all images so far, bytes."""
+        with self._lock:
+            return sum(pack.bytes for pack in self._packs.values())
+
     def close(self, native_sizes: Mapping[str, Size] | None = None) -> None:
         """Finish the store.
 

@@ -24,10 +24,13 @@ from wibam_core.geometry.cut_view import Cutter, Image
 from wibam_core.geometry.pixels import shrunk_image
 from wibam_core.scene import CameraRig, ClockMap
 from wibam_core.stages.base import StageContext, Summary
+from wibam_core.stages.space import check_space
 from wibam_core.video.decode import OnePass
 from wibam_core.video.sampling import Span, common_instants, nearer_times, nearest_times, overlap_s, period_ns
 
 _SECONDS_BETWEEN_REPORTS = 0.5
+#: So many frames say how large all will be.
+_FEWEST_TO_JUDGE = 32
 _HINT_ALONE = "Check that camera's recording and clock, or remove it from the site."
 
 
@@ -83,6 +86,7 @@ def run(context: StageContext, config: FramesConfig) -> Summary:
     Raises:
         NoOverlap: no two recordings show the same instant, or a camera shares too little time with every other one,
             or has no frame at any common instant.
+        DiskFull: the first frames show that the disk will not hold all of them.
     """
     infos = context.read(PROBE).cameras
     clocks = context.read(CLOCKS)
@@ -234,9 +238,24 @@ def _read_all(
                     future.result()
                 stored, copied = (sum(counts) for counts in zip(*((c.stored, c.copied) for c in cameras), strict=True))
                 message = f"{stored} frames, {copied} of them were there" if copied else f"{stored} frames"
-                context.progress(sum(camera.seen for camera in cameras) / total, message)
+                seen = sum(camera.seen for camera in cameras)
+                if seen >= _FEWEST_TO_JUDGE:
+                    written = writer.bytes_written
+                    expected = check_space(context.new_file(FRAMES), written, _share_of_pixels(cameras, width_px))
+                    message += f", {written / 1e9:.2f} of about {expected / 1e9:.2f} GB"
+                context.progress(seen / total, message)
         finally:
             stop.set()
+
+
+def _share_of_pixels(cameras: Sequence[_Camera], width_px: int) -> float:
+    """How much of all pixels is dealt with: cameras of different sizes come one after another."""
+    done, total = 0.0, 0.0
+    for camera in cameras:
+        pixels = sum(height * min(width, width_px) ** 2 / width for width, height in camera.sizes.values())
+        done += camera.seen * pixels
+        total += len(camera.targets) * pixels
+    return done / total
 
 
 def _read(

@@ -2,9 +2,13 @@
 
 from __future__ import annotations
 
+import itertools
 import json
+import shutil
+import threading
 from collections.abc import Iterator, Mapping
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -16,6 +20,7 @@ from wibam_core.config import DetectConfig, FramesConfig, PreflightConfig
 from wibam_core.detection.background import BackgroundFrames
 from wibam_core.detection.boxes import Found
 from wibam_core.errors import (
+    DiskFull,
     InputError,
     InvalidLabels,
     MissingCamera,
@@ -310,6 +315,29 @@ def test_frames_stop_when_their_progress_is_refused(three: Run) -> None:
 
     with pytest.raises(InterruptedError):
         frames.run(three.of("frames", progress=cancel), FramesConfig(rate_hz=25))
+    with pytest.raises(InputError):
+        three.read(catalogue.FRAMES)
+
+
+def test_frames_that_the_disk_will_not_hold_are_refused_early(three: Run, monkeypatch: pytest.MonkeyPatch) -> None:
+    three.preflight(min_overlap_s=1)
+    three.give(catalogue.CLOCKS, Clocks(CLOCKS))
+    asked, converted = threading.Event(), itertools.count()
+    convert = decode.to_bgr
+
+    def to_bgr(frame: VideoFrame, width_px: int | None) -> np.ndarray:
+        if next(converted) > 60:  # the last frames wait until the disk was looked at
+            asked.wait(20)
+        return convert(frame, width_px)
+
+    def disk_usage(folder: Path) -> SimpleNamespace:
+        asked.set()
+        return SimpleNamespace(free=1000)
+
+    monkeypatch.setattr(decode, "to_bgr", to_bgr)
+    monkeypatch.setattr(shutil, "disk_usage", disk_usage)
+    with pytest.raises(DiskFull, match=r"0\.00 GB left"):
+        frames.run(three.of("frames"), FramesConfig(rate_hz=25))
     with pytest.raises(InputError):
         three.read(catalogue.FRAMES)
 
