@@ -19,6 +19,7 @@ from wibam_core.scene import AnnotatedInstant
 from wibam_core.site import Site
 from wibam_core.stages.base import StageContext
 from wibam_core.stages.graph import STAGES
+from wibam_core.video.recording import Recording
 
 T = TypeVar("T")
 
@@ -83,7 +84,7 @@ class StageFolders:
         return StageContext(
             stage,
             site,
-            recordings or {},
+            {camera_id: Recording.at(path) for camera_id, path in (recordings or {}).items()},
             assets or {},
             ArtifactReader({name: self.folder(name) for name in spec.requires}),
             ArtifactWriter(stage, self.folder(stage), spec.writes),

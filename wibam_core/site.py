@@ -1,7 +1,8 @@
 """What a user says about a site: its cameras, calibration and signal regions. The body of ``POST /v1/sites``
 and the ``site.json`` of a site folder are this same model.
 
-A site folder holds ``site.json``, ``recordings/<camera id>.mp4`` (any container), and optionally ``labels.parquet``
+A site folder holds ``site.json``, ``recordings/<camera id>.mp4`` (any container; several files of one camera lie in
+``recordings/<camera id>/``), and optionally ``labels.parquet``
 or ``labels.json`` (hand labels, for evaluation alone), ``detector.onnx`` (a 2D detector of the user's own) and
 ``network.safetensors`` (a 3D network of the user's own to start fine-tuning from).
 """
@@ -54,7 +55,13 @@ class Correspondence(_Model):
 Correspondences = Annotated[tuple[Correspondence, ...], Field(max_length=10_000), FailFast()]
 
 
-class _Intrinsics(_Model):
+class _Calibration(_Model):
+    """``picture_px`` is the width and height of the picture that it was made on; None: as the camera's."""
+
+    picture_px: tuple[int, int] | None = None
+
+
+class _Intrinsics(_Calibration):
     """K and the lens. ``dist`` is in OpenCV's order for this lens, ``xi`` that of an omnidirectional one."""
 
     K: tuple[Row3, Row3, Row3]
@@ -78,7 +85,7 @@ class PnPCalibration(_Intrinsics):
     correspondences: Correspondences
 
 
-class HomographyCalibration(_Model):
+class HomographyCalibration(_Calibration):
     """Ground points only (z = 0): focal length and pose follow from the homography (square pixels, centred)."""
 
     kind: Literal["homography"] = "homography"
@@ -103,10 +110,16 @@ class ViewDirection(_Model):
     height_deg: float = Field(default=70.0, ge=20, le=110)
 
 
+#: A name that is the last part of a path, on any system.
+RecordingName = Annotated[str, Field(min_length=1, max_length=255, pattern=r"^[^/\\\x00-\x1f\x7f]*$")]
+
+
 class SiteCamera(_Model):
     """One camera. ``width_px`` and ``height_px`` are the size that calibration and regions refer to.
 
     ``views`` are those to cut from the picture of a wide lens; left out, they are chosen.
+    ``recordings`` names the files of a recording of several (chapters, numbered parts), in any order; without it the
+    recording is one file, whatever its name.
     """
 
     id: CameraId
@@ -114,6 +127,7 @@ class SiteCamera(_Model):
     height_px: int = Field(gt=0, le=16384)
     calibration: Calibration
     signals: Annotated[tuple[SignalRegion, ...], Field(max_length=64), FailFast()] = ()
+    recordings: Annotated[tuple[RecordingName, ...], Field(max_length=1000), FailFast()] = ()
     views: Annotated[tuple[ViewDirection, ...], Field(max_length=8), FailFast()] = ()
 
     @property
@@ -165,6 +179,8 @@ class Site(_Model):
         if self.origin is not None and self.origin.epsg is not None:
             _check_epsg(self.origin.epsg)
         for camera in self.cameras:
+            _check_recordings(camera)
+            _check_picture(camera)
             if not isinstance(camera.calibration, HomographyCalibration):
                 _check_focal_length(camera.id, camera.calibration.K)
             if camera.views and not camera.is_wide:
@@ -214,6 +230,29 @@ class Site(_Model):
 def _check_text(text: str, what: str, **details: str) -> None:
     if any(ord(character) < 32 or ord(character) == 127 for character in text):
         raise SiteFileError(f"{what}, {text!r}, has a control character", hint="Use plain text.", **details)
+
+
+def _check_picture(camera: SiteCamera) -> None:
+    made_on = camera.calibration.picture_px
+    if made_on is not None and made_on != (camera.width_px, camera.height_px):
+        across, down = camera.width_px / max(made_on[0], 1), camera.height_px / max(made_on[1], 1)
+        raise SiteFileError(
+            f"camera {camera.id}: its calibration was made on a picture of {made_on[0]}x{made_on[1]} px, its recording "
+            f"has {camera.width_px}x{camera.height_px} px",
+            hint="Calibrate on a picture of the recording's size; where both show the same section, multiply what is "
+            f"in px by {across:.6g} across and {down:.6g} down.",
+            camera=camera.id,
+        )
+
+
+def _check_recordings(camera: SiteCamera) -> None:
+    names = camera.recordings
+    if len(set(names)) != len(names) or any(name in (".", "..") for name in names):
+        raise SiteFileError(
+            f"camera {camera.id}: the names of its recordings must be file names that differ: {', '.join(names)}",
+            hint="List each file of the camera once.",
+            camera=camera.id,
+        )
 
 
 def _check_epsg(epsg: int) -> None:

@@ -28,6 +28,7 @@ from wibam_core.stages.base import Summary
 from wibam_core.stages.execute import StageRequest
 from wibam_core.stages.graph import STAGES
 from wibam_core.stages.store import Attempt, StageStore
+from wibam_core.video.recording import Recording, RecordingFile
 from worker.failures import crash, is_full, no_space, system_error
 from worker.keeper import LeaseKeeper
 from worker.process import Done, Failed, LogLine, Progress, StageProcess, Warned, system_oom_kills
@@ -270,6 +271,9 @@ class StageRunner:
             if folder is None:
                 raise StageError(f"the outputs of the stage {name} are gone", hint=f"Restart the job from {name}.")
             upstream[name] = folder
-        recordings = {camera: self._folder.file(file) for camera, file in job.recordings.items()}
+        recordings = {
+            camera: Recording(tuple(RecordingFile(self._folder.file(file), file.filename) for file in files))
+            for camera, files in job.recordings.items()
+        }
         assets = {name: self._folder.file(file) for name, file in job.assets.items()}
         return StageRequest.of(attempt, job.site, PipelineConfig.parse(job.options), recordings, assets, upstream)

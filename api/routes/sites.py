@@ -78,5 +78,7 @@ def _probes(services: Services, site_id: str) -> dict[str, VideoInfo]:
             cameras = services.results.read(job, catalogue.PROBE).cameras
         except WibamError:
             continue
-        found |= {file.id: cameras[camera] for camera, file in job.recordings.items() if camera in cameras}
+        found |= {
+            file.id: cameras[camera] for camera, files in job.recordings.items() if camera in cameras for file in files
+        }
     return found

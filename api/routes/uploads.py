@@ -73,7 +73,8 @@ def create(
         Header(
             description="`key base64,key base64`: `site` (id), `purpose` (recording, labels, detector or "
             "network), `camera` "
-            "(of a recording), `filename` (for showing only)"
+            "(of a recording), `filename` (for showing; of a camera whose "
+            "recordings the site lists, one of these names)"
         ),
     ],
     tus_resumable: TusVersion = "",

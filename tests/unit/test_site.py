@@ -76,7 +76,18 @@ def test_two_recordings_of_a_camera_are_both_named(tmp_path: Path) -> None:
     with pytest.raises(SiteFileError, match=r"camera cam2 .*: cam2\.mov, cam2\.mp4"):
         SiteFolder.load(tmp_path)
     (tmp_path / "recordings" / "cam2.mov").unlink()
-    assert SiteFolder.load(tmp_path).recordings["cam2"].name == "cam2.mp4"
+    assert [file.name for file in SiteFolder.load(tmp_path).recordings["cam2"].files] == ["cam2.mp4"]
+
+
+def test_a_calibration_of_another_picture_size_is_refused() -> None:
+    data = json.loads(site_of().model_dump_json())
+    camera = data["cameras"][0]
+    camera["calibration"]["picture_px"] = [camera["width_px"], camera["height_px"]]
+    assert Site.parse(json.dumps(data)).cameras[0].calibration.picture_px == (camera["width_px"], camera["height_px"])
+    camera["calibration"]["picture_px"] = [2 * camera["width_px"], 2 * camera["height_px"]]
+    with pytest.raises(SiteFileError, match="camera cam1: its calibration was made on") as refused:
+        Site.parse(json.dumps(data))
+    assert "by 0.5 across" in refused.value.hint
 
 
 def test_text_that_is_no_json_is_refused() -> None:

@@ -52,6 +52,7 @@ class FileRow(Base):
             "site_id",
             "purpose",
             "camera_id",
+            "filename",
             unique=True,
             sqlite_where=text("retired_at IS NULL"),
             postgresql_where=text("retired_at IS NULL"),

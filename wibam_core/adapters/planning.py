@@ -7,9 +7,10 @@ from typing import Any
 
 from wibam_core.config import PipelineConfig
 from wibam_core.errors import MissingCamera
-from wibam_core.jobs.records import Purpose, StoredFile
+from wibam_core.jobs.records import Purpose, StoredFile, recordings_of
 from wibam_core.site import Site
 from wibam_core.stages.graph import InputDigests, PlannedStage, plan
+from wibam_core.stages.recording_files import digest_of
 
 
 def plan_stages(site: Site, options: Mapping[str, Any], files: Sequence[StoredFile]) -> tuple[PlannedStage, ...]:
@@ -18,16 +19,27 @@ def plan_stages(site: Site, options: Mapping[str, Any], files: Sequence[StoredFi
     Raises:
         UnknownOption: naming the first option that does not exist.
         InvalidOption: naming the first option that has a wrong value.
-        MissingCamera: a camera has no recording.
+        MissingCamera: a camera has no recording, or not all files that the site lists.
         InputError: the options ask for a file that was not uploaded.
     """
     config = PipelineConfig.parse(options)
-    recordings = {file.camera_id: file.sha256 for file in files if file.purpose is Purpose.RECORDING}
+    recordings = recordings_of(files)
     assets = {file.purpose.value: file.sha256 for file in files if file.purpose is not Purpose.RECORDING}
     missing = [camera for camera in site.camera_ids if camera not in recordings]
     if missing:
         raise MissingCamera(f"there is no recording of {_names(missing)}", cameras=missing)
-    return plan(site, config, InputDigests({c: recordings[c] for c in site.camera_ids}, assets))
+    for camera in site.cameras:
+        there = {file.filename for file in recordings[camera.id]}
+        awaited = [name for name in camera.recordings if name not in there]
+        if awaited:
+            raise MissingCamera(
+                f"camera {camera.id}: {', '.join(awaited)} was not uploaded",
+                hint="Upload all files that the site lists for the camera, or correct the list.",
+                camera=camera.id,
+                files=awaited,
+            )
+    digests = {c: digest_of((file.filename, file.sha256) for file in recordings[c]) for c in site.camera_ids}
+    return plan(site, config, InputDigests(digests, assets))
 
 
 def _names(cameras: Sequence[str]) -> str:

@@ -14,7 +14,7 @@ from wibam_core.adapters.database import Database
 from wibam_core.adapters.models import FileRow, JobFileRow, JobRow, SiteRow, UploadRow
 from wibam_core.errors import Conflict, InputError, NotFound, QuotaExceeded
 from wibam_core.jobs.records import Purpose, SiteRecord, StoredFile, Upload
-from wibam_core.site import Site
+from wibam_core.site import Site, SiteCamera
 
 Clock = Callable[[], float]
 
@@ -73,8 +73,8 @@ class SiteStore:
     def replace_site(self, site_id: str, site: Site) -> SiteRecord:
         """Describe a site anew. Jobs keep the description that they were created with.
 
-        Files stay, but for those of cameras that the site no longer has: they are taken off it, and their unfinished
-        uploads are forgotten.
+        Files stay, but for those of cameras that the site no longer has, or no longer lists: they are taken off it,
+        and their unfinished uploads are forgotten.
 
         Raises:
             NotFound: there is no such site.
@@ -86,6 +86,8 @@ class SiteStore:
             row.document = site.model_dump_json()
             session.execute(delete(UploadRow).where(UploadRow.site_id == site_id, UploadRow.file_id.is_(None), gone))
             session.execute(update(FileRow).where(FileRow.site_id == site_id, retired).values(retired_at=self._now()))
+            for camera in site.cameras:
+                _retire_unlisted(session, site_id, camera, self._now())
             session.flush()
             return records.site_record(row)
 
@@ -112,7 +114,7 @@ class SiteStore:
 
     # --- files ---------------------------------------------------------------------------------
     def files(self, site_id: str) -> list[StoredFile]:
-        """The current files of a site: recordings by camera, labels, detector, network.
+        """The current files of a site: recordings by camera and name, labels, detector, network.
 
         Raises:
             NotFound: there is no such site.
@@ -168,6 +170,7 @@ class SiteStore:
         with self._database.writing(exclusive=True) as session:
             site = records.site_record(_site_row(session, request.site_id)).site
             _check_camera(site, request.purpose, request.camera_id)
+            _check_listed(_camera_of(site, request.camera_id), upload.filename)
             _check_quota(session, request.length, quota_bytes)
             session.add(
                 UploadRow(
@@ -210,6 +213,8 @@ class SiteStore:
     def complete_upload(self, upload: Upload, *, suffix: str, sha256: str) -> StoredFile:
         """All bytes are there: the upload becomes the current file of its purpose and camera; both have one id.
 
+        Of a camera whose recording is of several files it takes the place of the one of its name alone.
+
         Raises:
             NotFound: the upload is gone: its site, or its camera, was deleted meanwhile.
         """
@@ -234,6 +239,9 @@ class SiteStore:
         with self._database.writing(exclusive=True) as session:
             if session.get(UploadRow, upload.id) is None:
                 raise NotFound(f"there is no upload {upload.id} any more", hint="Start a new one.")
+            camera = _camera_of(records.site_record(_site_row(session, file.site_id)).site, file.camera_id)
+            if camera is not None and camera.recordings:
+                same_place &= FileRow.filename == file.filename
             session.execute(update(FileRow).where(same_place).values(retired_at=now))
             session.add(
                 FileRow(
@@ -273,7 +281,7 @@ def _current_files(session: Session, site_id: str) -> list[StoredFile]:
     rows = session.scalars(
         select(FileRow)
         .where(FileRow.site_id == site_id, FileRow.retired_at.is_(None))
-        .order_by(FileRow.purpose, FileRow.camera_id)
+        .order_by(FileRow.purpose, FileRow.camera_id, FileRow.filename)
     )
     return [records.stored_file(row) for row in rows]
 
@@ -297,6 +305,34 @@ def _check_camera(site: Site, purpose: Purpose, camera_id: str) -> None:
             hint=f"Its cameras are {', '.join(site.camera_ids)}.",
             camera=camera_id,
         )
+
+
+def _camera_of(site: Site, camera_id: str) -> SiteCamera | None:
+    return next((camera for camera in site.cameras if camera.id == camera_id), None)
+
+
+def _check_listed(camera: SiteCamera | None, filename: str) -> None:
+    if camera is not None and camera.recordings and filename not in camera.recordings:
+        raise InputError(
+            f"the site lists no file {filename!r} for camera {camera.id}",
+            hint=f"It lists {', '.join(camera.recordings)}: describe the site anew to add one.",
+            camera=camera.id,
+        )
+
+
+def _retire_unlisted(session: Session, site_id: str, camera: SiteCamera, now: float) -> None:
+    """Take those files of a camera off its site that its list does not name, and, where it has none, all of several."""
+    current = (
+        (FileRow.site_id == site_id)
+        & (FileRow.purpose == Purpose.RECORDING.value)
+        & (FileRow.camera_id == camera.id)
+        & FileRow.retired_at.is_(None)
+    )
+    if camera.recordings:
+        current &= FileRow.filename.not_in(camera.recordings)
+    elif (session.scalar(select(func.count()).select_from(FileRow).where(current)) or 0) < 2:
+        return
+    session.execute(update(FileRow).where(current).values(retired_at=now))
 
 
 def _check_quota(session: Session, length: int, quota_bytes: int) -> None:

@@ -18,6 +18,7 @@ from wibam_core.client import FileView, UploadProgress, WibamClient
 from wibam_core.config import PipelineConfig
 from wibam_core.errors import WibamError
 from wibam_core.jobs.records import Purpose
+from wibam_core.site import Site
 from wibam_core.stages.runner import SiteFolder
 from wibam_core.stages.store import sha256_of
 
@@ -60,8 +61,20 @@ def send_site(client: WibamClient, folder: SiteFolder, console: Console) -> str:
 
 
 def _describe(client: WibamClient, folder: SiteFolder, site_id: str | None) -> str:
-    site = client.create_site(folder.site) if site_id is None else client.replace_site(site_id, folder.site)
+    described = _listing(folder)
+    site = client.create_site(described) if site_id is None else client.replace_site(site_id, described)
     return site.id
+
+
+def _listing(folder: SiteFolder) -> Site:
+    """The site, with the names of a camera's files where they are several: in a folder they need not be listed."""
+    cameras = []
+    for camera in folder.site.cameras:
+        recording = folder.recordings.get(camera.id)
+        if recording is not None and len(recording.files) > 1:
+            camera = camera.model_copy(update={"recordings": tuple(file.name for file in recording.files)})
+        cameras.append(camera)
+    return folder.site.model_copy(update={"cameras": tuple(cameras)})
 
 
 def _send_files(client: WibamClient, folder: SiteFolder, console: Console, site_id: str, *, anew: bool) -> None:
@@ -70,7 +83,11 @@ def _send_files(client: WibamClient, folder: SiteFolder, console: Console, site_
     Raises:
         WibamError: of the kind that a file met; its message names the file.
     """
-    there = {} if anew else {(file.purpose, file.camera or ""): file for file in client.files(site_id)}
+    several = {c: len(recording.files) > 1 for c, recording in folder.recordings.items()}
+    there: dict[tuple[Purpose, str, str], FileView] = {}
+    for file in [] if anew else client.files(site_id):
+        camera_id = file.camera or ""
+        there[file.purpose, camera_id, file.filename if several.get(camera_id) else ""] = file
     bars = Progress(
         TextColumn("{task.description:<24}"),
         BarColumn(bar_width=24),
@@ -85,13 +102,16 @@ def _send_files(client: WibamClient, folder: SiteFolder, console: Console, site_
         return lambda sent, size: bars.update(task, completed=sent, total=size)
 
     with bars:
-        for camera_id, path in folder.recordings.items():
-            if not _is(path, there.get((Purpose.RECORDING, camera_id))):
-                with _naming(path):
-                    client.upload_recording(site_id, camera_id, path, bar(camera_id, path))
+        for camera_id, recording in folder.recordings.items():
+            for part in recording.files:
+                name = part.name if several[camera_id] else ""
+                if not _is(part.path, there.get((Purpose.RECORDING, camera_id, name))):
+                    with _naming(part.path):
+                        shown = f"{camera_id} {name}".rstrip()
+                        client.upload_recording(site_id, camera_id, part.path, bar(shown, part.path))
         sends = {"labels": client.upload_labels, "detector": client.upload_detector, "network": client.upload_network}
         for name, path in folder.assets.items():
-            if not _is(path, there.get((Purpose(name), ""))):
+            if not _is(path, there.get((Purpose(name), "", ""))):
                 with _naming(path):
                     sends[name](site_id, path, bar(name, path))
 

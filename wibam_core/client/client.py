@@ -76,7 +76,10 @@ class WibamClient:
     def upload_recording(
         self, site_id: str, camera_id: str, path: Path, progress: UploadProgress = lambda sent, size: None
     ) -> None:
-        """Send the recording of a camera. A broken connection is taken up where it broke."""
+        """Send the recording of a camera, or one of the files that the site lists for it.
+
+        A broken connection is taken up where it broke.
+        """
         self._send(path, site_id, Purpose.RECORDING, camera_id, progress)
 
     def upload_labels(self, site_id: str, path: Path, progress: UploadProgress = lambda sent, size: None) -> None:

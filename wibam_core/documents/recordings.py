@@ -22,10 +22,18 @@ class Segment(Document):
     frames: int
     file: str
     """Name of the file that it comes from."""
-    placed_by: Literal["stamps", "timecode", "creation_time", "name", "assumed"]
+    placed_by: Literal["stamps", "timecode", "chapter", "creation_time", "name", "assumed"]
     """What says where it lies against the segment before. ``assumed``: nothing does, and it was put right behind, so
-    that how long the camera was off is unknown until the cameras are synchronised. ``creation_time`` and ``name`` are
-    exact to a second or so, the others to a frame or better."""
+    that how long the camera was off is unknown until the cameras are synchronised. ``chapter``: cameras cut chapters
+    without losing a frame. ``creation_time`` and ``name`` are exact to a second or so, the others to a frame."""
+
+
+class SizeChange(Document):
+    """From when on a recording's pictures have another size."""
+
+    time_ns: int
+    width_px: int
+    height_px: int
 
 
 class VideoInfo(Document):
@@ -36,7 +44,7 @@ class VideoInfo(Document):
     container: str
     """Short name, e.g. "mov" (which MP4 files are, too)."""
     width_px: int
-    """As shown, so after rotation."""
+    """Of the pictures that are worked on: as shown, so after rotation."""
     height_px: int
     """As shown, so after rotation."""
     rotation_deg: int
@@ -59,6 +67,34 @@ class VideoInfo(Document):
     """Some intervals differ from the usual one by more than a tenth."""
     segments: list[Segment] = Field(default_factory=list)
     """In order, the first included; empty where the recording is of one piece."""
+    files: int = 1
+    """How many files the recording was uploaded as."""
+    missing_files: list[str] = Field(default_factory=list)
+    """Names of chapters that should lie between these."""
+    doubled_frames: int = 0
+    """Frames that two files both held; each is used once."""
+    unused_frames: int = 0
+    """Frames whose stamp is stray, missing or another frame's, and which nothing can be done with."""
+    stray_frames: int = 0
+    """Those of them whose stamp is far from those around."""
+    hidden_frames: int = 0
+    """Frames that the file itself says are not to be shown (edit list)."""
+    mirrored: bool = False
+    """Left and right are exchanged when shown, before the turn."""
+    stored_px: tuple[int, int] | None = None
+    """Width and height as stored, turned as shown, where the pictures were brought to another size."""
+    pixel_aspect: float = 1.0
+    """Width of a stored pixel over its height."""
+    size_changes: list[SizeChange] = Field(default_factory=list)
+    """Where the size changes midway; all pictures are brought to one size."""
+    interlaced: bool = False
+    """Pictures consist of two fields, which are joined."""
+    high_range: bool = False
+    """Brightness is coded for high dynamic range."""
+    has_clock: bool = True
+    """False where the file holds no times, and its nominal rate was taken for true."""
+    video_tracks: int = 1
+    """Tracks of the file that could be the recording; the one that a player shows is used."""
 
 
 class Probe(Document):

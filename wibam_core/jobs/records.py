@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from enum import StrEnum
 from typing import Any
@@ -37,7 +37,7 @@ class StoredFile:
 
     Attributes:
         camera_id: of a recording; empty otherwise.
-        filename: as the client called it. For showing only: it is never part of a path.
+        filename: as the client called it. It tells the files of one recording apart, and is never part of a path.
         suffix: what kind of file it is, found by looking at it (".parquet", ".json" or "").
     """
 
@@ -54,6 +54,15 @@ class StoredFile:
     def __post_init__(self) -> None:
         if (self.purpose is Purpose.RECORDING) != bool(self.camera_id):
             raise ValueError("recordings, and only recordings, belong to a camera")
+
+
+def recordings_of(files: Iterable[StoredFile]) -> dict[str, tuple[StoredFile, ...]]:
+    """Camera id -> the file, or files, of its recording, by name."""
+    found: dict[str, tuple[StoredFile, ...]] = {}
+    for file in sorted(files, key=lambda file: file.filename):
+        if file.purpose is Purpose.RECORDING:
+            found[file.camera_id] = (*found.get(file.camera_id, ()), file)
+    return found
 
 
 @dataclass(frozen=True)
@@ -147,9 +156,9 @@ class Job:
         return next((stage for stage in self.stages if stage.name == name), None)
 
     @property
-    def recordings(self) -> dict[str, StoredFile]:
-        """Camera id -> recording."""
-        return {file.camera_id: file for file in self.files if file.purpose is Purpose.RECORDING}
+    def recordings(self) -> dict[str, tuple[StoredFile, ...]]:
+        """Camera id -> the file, or files, of its recording."""
+        return recordings_of(self.files)
 
     @property
     def assets(self) -> dict[str, StoredFile]:

@@ -13,6 +13,7 @@ from wibam_core.config import FinetuneConfig
 from wibam_core.documents.warnings import Caution, StageWarning
 from wibam_core.progress import Progress
 from wibam_core.site import Site
+from wibam_core.video.recording import Recording
 
 #: Figures of a stage for a person and for the job's status: JSON types only.
 Summary = dict[str, Any]
@@ -30,7 +31,7 @@ class StageContext:
     Attributes:
         stage: its name.
         site: what the user said.
-        recordings: camera id -> uploaded file.
+        recordings: camera id -> its uploaded file or files.
         assets: other uploaded files that the options use, by their names in `wibam_core.stages.assets`.
         inputs: what the stages before have made; see `read`.
         outputs: what this stage makes, published as a whole once it returns; see `write`.
@@ -44,7 +45,7 @@ class StageContext:
 
     stage: str
     site: Site
-    recordings: Mapping[str, Path]
+    recordings: Mapping[str, Recording]
     assets: Mapping[str, Path]
     inputs: ArtifactReader
     outputs: ArtifactWriter

@@ -31,6 +31,7 @@ from wibam_core.site import Site
 from wibam_core.stages.base import StageContext, Summary, WarningListener
 from wibam_core.stages.graph import STAGES
 from wibam_core.stages.store import Attempt
+from wibam_core.video.recording import Recording
 
 _SECONDS_BETWEEN_REPORTS = 0.2
 
@@ -43,7 +44,7 @@ class StageRequest(BaseModel):
     stage: str
     site: Site
     config: PipelineConfig
-    recordings: dict[str, Path]
+    recordings: dict[str, Recording]
     assets: dict[str, Path] = {}
     upstream: dict[str, Path]
     earlier: tuple[Path, ...] = ()
@@ -56,7 +57,7 @@ class StageRequest(BaseModel):
         attempt: Attempt,
         site: Site,
         config: PipelineConfig,
-        recordings: Mapping[str, Path],
+        recordings: Mapping[str, Recording],
         assets: Mapping[str, Path],
         upstream: Mapping[str, Path],
     ) -> StageRequest:
@@ -66,7 +67,7 @@ class StageRequest(BaseModel):
             attempt: which stage, and where it may write.
             site: what the user said.
             config: all options.
-            recordings: camera id -> uploaded file.
+            recordings: camera id -> its uploaded file or files.
             assets: all other uploaded files; those that the stage does not read are kept from it.
             upstream: published outputs by stage, of at least those that it reads.
         """

@@ -8,7 +8,6 @@ from collections.abc import Mapping, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor, wait
 from contextlib import suppress
 from dataclasses import dataclass, field
-from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
@@ -18,6 +17,7 @@ from wibam_core.artifacts.catalogue import CLOCKS, FRAMES, LIMITS, PROBE, RIG, T
 from wibam_core.config import FramesConfig
 from wibam_core.detection.background import BackgroundFrames
 from wibam_core.documents.recordings import VideoInfo
+from wibam_core.documents.warnings import Caution
 from wibam_core.errors import InputError, NoOverlap
 from wibam_core.formats.framestore import FrameStore, FrameStoreWriter, Size
 from wibam_core.geometry.cut_view import Cutter, Image
@@ -26,11 +26,14 @@ from wibam_core.scene import CameraRig, ClockMap
 from wibam_core.stages.base import StageContext, Summary
 from wibam_core.stages.space import check_space
 from wibam_core.video.decode import OnePass
+from wibam_core.video.recording import Recording
 from wibam_core.video.sampling import Span, common_instants, nearer_times, nearest_times, overlap_s, period_ns
 
 _SECONDS_BETWEEN_REPORTS = 0.5
 #: So many frames say how large all will be.
 _FEWEST_TO_JUDGE = 32
+#: More than this share of the wanted frames damaged is worth a word.
+_DAMAGED_SHARE = 0.02
 _HINT_ALONE = "Check that camera's recording and clock, or remove it from the site."
 
 
@@ -58,7 +61,7 @@ class _Camera:
     """
 
     id: str
-    recording: Path
+    recording: Recording
     clock: ClockMap
     info: VideoInfo
     times_ns: NDArray[np.int64]
@@ -111,6 +114,7 @@ def run(context: StageContext, config: FramesConfig) -> Summary:
         _read_all(cameras, writer, earlier, config.width_px, context)
         _check_stored(cameras, len(instants))
         writer.close({picture: size for camera in cameras for picture, size in camera.sizes.items()})
+    context.warn(*(caution for camera in cameras for caution in _cautions(camera)))
     return {
         "instants": len(instants),
         "seconds": round(float(instants[-1] - instants[0]) / 1e9, 3),
@@ -163,6 +167,20 @@ def _check_stored(cameras: list[_Camera], instants: int) -> None:
         )
 
 
+def _cautions(camera: _Camera) -> list[Caution]:
+    share = len(camera.damaged) / max(len(camera.damaged) + camera.stored, 1)
+    if share <= _DAMAGED_SHARE:
+        return []
+    caution = Caution(
+        code="frames_damaged",
+        message=f"{len(camera.damaged)} frames, {share:.0%} of those looked for, do not decode; the nearest sound ones "
+        "are used where there are any",
+        hint="Copy the file from the camera again; what is damaged there shows nothing.",
+        details={"frames": len(camera.damaged), "share": share},
+    )
+    return [caution.of_camera(camera.id)]
+
+
 def _seen(spans: Mapping[str, Span]) -> str:
     return "; ".join(f"{id_} {span.first_ns / 1e9:.1f} to {span.last_ns / 1e9:.1f} s" for id_, span in spans.items())
 
@@ -173,7 +191,7 @@ def _spans_ns(spans: Mapping[str, Span]) -> dict[str, list[int]]:
 
 def _camera(
     camera_id: str,
-    recording: Path,
+    recording: Recording,
     clock: ClockMap,
     info: VideoInfo,
     times_ns: NDArray[np.int64],
@@ -263,7 +281,8 @@ def _read(
 ) -> None:
     cut = any(cutter is not None for cutter in camera.pictures.values())
     decoded_px = camera.info.width_px if cut else width_px
-    one_pass = OnePass(camera.recording, among=set(camera.times_ns.tolist()), width_px=decoded_px)
+    native_px = (camera.info.width_px, camera.info.height_px)
+    one_pass = OnePass(camera.recording, among=set(camera.times_ns.tolist()), size_px=native_px, width_px=decoded_px)
     for target, expected_ns in zip(camera.targets, _expected(camera, earlier), strict=True):
         if stop.is_set():
             return

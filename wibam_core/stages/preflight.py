@@ -10,15 +10,13 @@ from numpy.typing import NDArray
 from wibam_core.artifacts.catalogue import LIMITS, PROBE, TIMESTAMPS
 from wibam_core.config import FinetuneConfig, PreflightConfig
 from wibam_core.documents.recordings import Limits, Probe, VideoInfo
-from wibam_core.documents.warnings import Caution
 from wibam_core.errors import InputError, InvalidWeights, MissingCamera, NoOverlap, UnreadableVideo
 from wibam_core.formats.labels import read_labels
 from wibam_core.site import SiteCamera
 from wibam_core.stages.base import StageContext, Summary
+from wibam_core.video.cautions import cautions_of
 from wibam_core.video.probe import measure
-
-#: Longer than this without a frame is worth a word.
-_LONGEST_GAP_S = 1.0
+from wibam_core.video.recording import Recording
 
 
 def run(context: StageContext, config: PreflightConfig) -> Summary:
@@ -45,7 +43,7 @@ def run(context: StageContext, config: PreflightConfig) -> Summary:
     times: dict[str, NDArray[np.int64]] = {}
     for number, camera in enumerate(context.site.cameras):
         context.progress(number / len(context.site.cameras), f"camera {camera.id}")
-        info, times[camera.id] = _measure(camera.id, context.recordings[camera.id])
+        info, times[camera.id] = _measure(camera, context.recordings[camera.id])
         _check_size(camera, info)
         if info.duration_s < config.min_overlap_s:
             raise NoOverlap(
@@ -59,7 +57,7 @@ def run(context: StageContext, config: PreflightConfig) -> Summary:
     context.write(TIMESTAMPS, times)
     context.write(LIMITS, Limits(min_overlap_s=config.min_overlap_s))
     for camera_id, info in infos.items():
-        context.warn(*(caution.of_camera(camera_id) for caution in _cautions(info)))
+        context.warn(*(caution.of_camera(camera_id) for caution in cautions_of(info)))
     context.progress(1.0)
     return {
         "cameras": {
@@ -71,11 +69,11 @@ def run(context: StageContext, config: PreflightConfig) -> Summary:
     }
 
 
-def _measure(camera_id: str, path: Path) -> tuple[VideoInfo, NDArray[np.int64]]:
+def _measure(camera: SiteCamera, recording: Recording) -> tuple[VideoInfo, NDArray[np.int64]]:
     try:
-        return measure(path)
+        return measure(recording, (camera.width_px, camera.height_px))
     except UnreadableVideo as error:
-        raise UnreadableVideo(f"camera {camera_id}: {error.message}", hint=error.hint, camera=camera_id) from error
+        raise UnreadableVideo(f"camera {camera.id}: {error.message}", hint=error.hint, camera=camera.id) from error
 
 
 def _check_network(path: Path, options: FinetuneConfig) -> None:
@@ -91,6 +89,8 @@ def _check_size(camera: SiteCamera, info: VideoInfo) -> None:
     if (info.width_px, info.height_px) == (camera.width_px, camera.height_px):
         return
     turned = f" once turned by {info.rotation_deg}°, as it is shown" if info.rotation_deg else ""
+    if abs(info.pixel_aspect - 1) > 0.01:
+        turned += f" (its pixels are {info.pixel_aspect:.3f} times as wide as high)"
     raise InputError(
         f"the recording of camera {camera.id} is {info.width_px}x{info.height_px} px{turned}, but the site says "
         f"{camera.width_px}x{camera.height_px} px",
@@ -99,27 +99,3 @@ def _check_size(camera: SiteCamera, info: VideoInfo) -> None:
         recording_px=[info.width_px, info.height_px],
         site_px=[camera.width_px, camera.height_px],
     )
-
-
-def _cautions(info: VideoInfo) -> list[Caution]:
-    """What a person should know about a recording."""
-    found = []
-    if info.missing_frames:
-        found.append(
-            Caution(
-                code="cut_off",
-                message=f"the file was cut off; its last {info.missing_frames} frames are missing",
-                hint="Copy the file from the camera again if what is missing matters; the rest is used.",
-                details={"frames": info.missing_frames},
-            )
-        )
-    if info.largest_gap_s > _LONGEST_GAP_S:
-        found.append(
-            Caution(
-                code="recording_gap",
-                message=f"there is no frame for {info.largest_gap_s:.1f} s",
-                hint="Nothing is seen by this camera meanwhile; look whether the recording was joined from parts.",
-                details={"gap_s": info.largest_gap_s},
-            )
-        )
-    return found

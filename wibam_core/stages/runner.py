@@ -13,15 +13,17 @@ from typing import Any
 from wibam_core.artifacts.access import ArtifactReader
 from wibam_core.config import PipelineConfig
 from wibam_core.documents.warnings import StageWarning
-from wibam_core.errors import MissingCamera, NotFound, SiteFileError, WibamError
+from wibam_core.errors import MissingCamera, NotFound, WibamError
 from wibam_core.progress import Progress, remaining_s
 from wibam_core.site import Site
+from wibam_core.stages import recording_files
 from wibam_core.stages.assets import ASSETS
 from wibam_core.stages.base import Summary
 from wibam_core.stages.execute import StageRequest, run_stage
 from wibam_core.stages.given import digest_of, given_stages
 from wibam_core.stages.graph import STAGES, InputDigests, PlannedStage, plan
 from wibam_core.stages.store import StageStore, sha256_of
+from wibam_core.video.recording import Recording
 
 
 @dataclass(frozen=True)
@@ -29,7 +31,7 @@ class SiteFolder:
     """A site on disk: its description and files, and the folders of stages that are given, by stage."""
 
     site: Site
-    recordings: Mapping[str, Path]
+    recordings: Mapping[str, Recording]
     assets: Mapping[str, Path]
     given: Mapping[str, Path] = field(default_factory=lambda: MappingProxyType({}))
 
@@ -40,27 +42,20 @@ class SiteFolder:
         Recordings may be absent where every stage that reads them is given.
 
         Raises:
-            SiteFileError: if the description is wrong, a camera has several recordings, or what is given for a stage
-                is not what it makes.
-            MissingCamera: if a camera has no recording.
+            SiteFileError: if the description is wrong, a camera has several recordings that nothing says belong
+                together, or what is given for a stage is not what it makes.
+            MissingCamera: if a camera has no recording, or not all files that the site lists.
         """
         site = Site.load(folder / "site.json")
         given = given_stages(folder)
         needed = any(spec.reads_recordings and spec.name not in given for spec in STAGES.values())
         recordings = {}
-        for camera_id in site.camera_ids:
-            found = sorted(p for p in (folder / "recordings").glob(f"{camera_id}.*") if p.is_file())
-            if not found and not needed:
-                continue
-            if not found:
-                raise MissingCamera(f"there is no recording of camera {camera_id}", camera=camera_id)
-            if len(found) > 1:
-                raise SiteFileError(
-                    f"camera {camera_id} has several recordings: {', '.join(path.name for path in found)}",
-                    hint="Leave one of them in the folder.",
-                    camera=camera_id,
-                )
-            recordings[camera_id] = found[0]
+        for camera in site.cameras:
+            recording = recording_files.find_recording(folder / "recordings", camera)
+            if recording is not None:
+                recordings[camera.id] = recording
+            elif needed:
+                raise MissingCamera(f"there is no recording of camera {camera.id}", camera=camera.id)
         assets = {
             asset.name: folder / file
             for asset in ASSETS.values()
@@ -76,10 +71,14 @@ class SiteFolder:
     def digests(self) -> InputDigests:
         """SHA-256 of every file."""
         return InputDigests(
-            {camera: sha256_of(path) for camera, path in self.recordings.items()},
+            {camera: _digest_of(recording) for camera, recording in self.recordings.items()},
             {name: sha256_of(path) for name, path in self.assets.items()},
             {stage: digest_of(path) for stage, path in self.given.items()},
         )
+
+
+def _digest_of(recording: Recording) -> str:
+    return recording_files.digest_of((file.name, sha256_of(file.path)) for file in recording.files)
 
 
 @dataclass(frozen=True)

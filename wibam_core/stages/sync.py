@@ -74,7 +74,8 @@ def _detect_all(context: StageContext, config: SyncConfig) -> dict[str, list[Sig
     progress = _SharedProgress(context.progress, ends_ns)
 
     def detect(camera: SiteCamera) -> list[SignalChange]:
-        frames = progress.watch(camera.id, decode(context.recordings[camera.id]))
+        size_px = (recorded[camera.id].width_px, recorded[camera.id].height_px)
+        frames = progress.watch(camera.id, decode(context.recordings[camera.id], size_px=size_px))
         return detect_changes(frames, camera.id, camera.signals, config.min_lit_share)
 
     with ThreadPoolExecutor(_DECODERS) as pool:

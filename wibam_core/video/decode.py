@@ -3,23 +3,25 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Set
+from contextlib import ExitStack, suppress
 from dataclasses import dataclass
 from pathlib import Path
 
 import av
-import cv2
 import numpy as np
+from av.video.codeccontext import VideoCodecContext
 from av.video.frame import VideoFrame
-from numpy.typing import NDArray
 
-from wibam_core.geometry.pixels import shrunk_image
-from wibam_core.video.source import ACCURATE, ns_from_pts, open_video
+from wibam_core.video.packets import numbered
+from wibam_core.video.picture import Deinterlacer, Image, Orientation, Size, to_bgr
+from wibam_core.video.recording import Recording
+from wibam_core.video.source import open_video
+from wibam_core.video.timeline import UNUSED, TimedFile, read_timeline
 
-Image = NDArray[np.uint8]
+#: A frame is shown after at most so many that are decoded later: the largest buffer of H.264 and H.265.
+_LONGEST_WAIT = 17
 
-_QUARTER_TURNS = {90: cv2.ROTATE_90_COUNTERCLOCKWISE, 180: cv2.ROTATE_180, 270: cv2.ROTATE_90_CLOCKWISE}
-#: AVColorSpace: unspecified, BT.470BG, SMPTE 170M. AVColorRange "JPEG" (0–255).
-_BT601_MATRICES, _FULL_RANGE = (2, 5, 6), 2
+_Frame = tuple[int, VideoFrame, Orientation]
 
 
 @dataclass(frozen=True, eq=False)
@@ -36,32 +38,41 @@ class NearestFrame:
     image_bgr: Image
 
 
-def decode(path: Path, *, width_px: int | None = None, threads: int = 1) -> Iterator[tuple[int, Image]]:
+def decode(
+    recording: Path | Recording, *, size_px: Size | None = None, width_px: int | None = None, threads: int = 1
+) -> Iterator[tuple[int, Image]]:
     """Every frame of a recording: (presentation time in ns, BGR image (H, W, 3) uint8), times strictly increasing.
 
-    Damaged frames are left out.
+    Times are those of `wibam_core.video.probe.measure`. Damaged frames are left out, interlaced ones deinterlaced.
 
     Args:
-        path: the file.
-        width_px: shrink frames that are wider to this width, by area, keeping the aspect ratio.
+        recording: its file or files.
+        size_px: width and height that pictures are brought to where they have others; None: those of the first one.
+        width_px: then shrink frames that are wider to this width, by area, keeping the aspect ratio.
         threads: decoding threads.
 
     Raises:
-        UnreadableVideo: the file cannot be opened.
+        UnreadableVideo: a file cannot be opened.
     """
-    for time_ns, frame in _frames(path, threads):
-        yield time_ns, to_bgr(frame, width_px)
+    for time_ns, frame, orientation in _frames(recording, threads):
+        size_px = size_px or orientation.size((frame.width, frame.height))
+        yield time_ns, to_bgr(frame, orientation, size_px, width_px)
 
 
 def frames_nearest(
-    path: Path, times_ns: Iterable[int], *, tolerance_ns: int, width_px: int | None = None, threads: int = 1
+    recording: Path | Recording,
+    times_ns: Iterable[int],
+    *,
+    tolerance_ns: int,
+    width_px: int | None = None,
+    threads: int = 1,
 ) -> Iterator[NearestFrame]:
     """For each wanted time the nearest frame, in one pass over the file.
 
     Wanted times without a frame within the tolerance yield nothing. Only chosen frames are converted to BGR.
 
     Args:
-        path: the file.
+        recording: its file or files.
         times_ns: wanted times on the recording's clock, ascending.
         tolerance_ns: largest distance of a frame from its wanted time.
         width_px: as in `decode`.
@@ -71,7 +82,7 @@ def frames_nearest(
         UnreadableVideo: the file cannot be opened.
         ValueError: the wanted times descend.
     """
-    one_pass = OnePass(path, width_px=width_px, threads=threads)
+    one_pass = OnePass(recording, width_px=width_px, threads=threads)
     for target in times_ns:
         found = one_pass.nearest(target, tolerance_ns)
         if found is not None:
@@ -82,20 +93,26 @@ class OnePass:
     """Looks for frames in one pass over a recording, which is opened when the first one is asked for.
 
     Args:
-        path: the file.
+        recording: its file or files.
         among: times of the frames that count; None: all.
-        width_px: as in `decode`.
+        size_px, width_px: as in `decode`.
         threads: decoding threads.
     """
 
     def __init__(
-        self, path: Path, *, among: Set[int] | None = None, width_px: int | None = None, threads: int = 1
+        self,
+        recording: Path | Recording,
+        *,
+        among: Set[int] | None = None,
+        size_px: Size | None = None,
+        width_px: int | None = None,
+        threads: int = 1,
     ) -> None:
-        frames = _frames(path, threads)
+        frames = _frames(recording, threads)
         self._frames = frames if among is None else (frame for frame in frames if frame[0] in among)
-        self._width_px = width_px
-        self._before: tuple[int, VideoFrame] | None = None
-        self._after: tuple[int, VideoFrame] | None = None
+        self._size_px, self._width_px = size_px, width_px
+        self._before: _Frame | None = None
+        self._after: _Frame | None = None
         self._last_target_ns: int | None = None
         self._chosen: NearestFrame | None = None
 
@@ -114,66 +131,105 @@ class OnePass:
         while self._after is not None and self._after[0] < target_ns:
             self._before, self._after = self._after, next(self._frames, None)
         candidates = [frame for frame in (self._before, self._after) if frame is not None]
-        time_ns, frame = min(candidates, key=lambda candidate: abs(candidate[0] - target_ns), default=(0, None))
-        if frame is None or abs(time_ns - target_ns) > tolerance_ns:
+        if not candidates:
             return None
-        image = self._chosen.image_bgr if self._chosen and self._chosen.time_ns == time_ns else None
-        self._chosen = NearestFrame(target_ns, time_ns, to_bgr(frame, self._width_px) if image is None else image)
+        time_ns, frame, orientation = min(candidates, key=lambda candidate: abs(candidate[0] - target_ns))
+        if abs(time_ns - target_ns) > tolerance_ns:
+            return None
+        if self._chosen is None or self._chosen.time_ns != time_ns:
+            self._size_px = self._size_px or orientation.size((frame.width, frame.height))
+            image = to_bgr(frame, orientation, self._size_px, self._width_px)
+        else:
+            image = self._chosen.image_bgr
+        self._chosen = NearestFrame(target_ns, time_ns, image)
         return self._chosen
 
 
-def _frames(path: Path, threads: int) -> Iterator[tuple[int, VideoFrame]]:
-    """Sound frames in the order of time, each time once, all of the first one's size."""
+def _frames(recording: Path | Recording, threads: int) -> Iterator[_Frame]:
+    """Sound frames in the order of time, each time once."""
+    recording = Recording.at(recording) if isinstance(recording, Path) else recording
+    deinterlacer = Deinterlacer()
     last_ns: int | None = None
-    size: tuple[int, int] | None = None
-    with open_video(path, threads) as (container, stream):
-        for frame in _decoded(container, stream):
-            if frame.pts is None or frame.time_base is None or frame.is_corrupt:
-                continue
-            time_ns = ns_from_pts(frame.pts, frame.time_base)
-            size = size or (frame.width, frame.height)
-            if (last_ns is not None and time_ns <= last_ns) or (frame.width, frame.height) != size:
-                continue
-            last_ns = time_ns
-            yield time_ns, frame
-
-
-def _decoded(container: av.container.InputContainer, stream: av.video.stream.VideoStream) -> Iterator[VideoFrame]:
-    """Whatever the decoder gives, past packets that it refuses, to the end or to where the file is cut off."""
-    packets = container.demux(stream)
-    while True:
-        try:
-            packet = next(packets)
-        except StopIteration:
-            return
-        except (av.FFmpegError, EOFError):
-            break
-        try:
-            frames = stream.decode(packet)
-        except av.FFmpegError:
+    for time_ns, frame in _timed(recording, threads):
+        if frame.is_corrupt or (last_ns is not None and time_ns <= last_ns):
             continue
-        yield from frames
-    yield from stream.decode(None)
+        last_ns = time_ns
+        yield from deinterlacer.push(time_ns, frame, Orientation.of(frame))
+    yield from deinterlacer.flush()
 
 
-def _is_plain(frame: VideoFrame) -> bool:
-    """Whether a frame is what OpenCV's I420 is: BT.601, limited range, even size. OpenCV converts it faster."""
-    return (
-        frame.format.name == "yuv420p"
-        and frame.colorspace in _BT601_MATRICES
-        and frame.color_range != _FULL_RANGE
-        and frame.width % 2 == 0
-        and frame.height % 2 == 0
-    )
+def _timed(recording: Recording, threads: int) -> Iterator[tuple[int, VideoFrame]]:
+    """Decoded frames with their times, those without one left out. Packets are numbered, and so frames find theirs."""
+    decoder: VideoCodecContext | None = None
+    clock = _FrameClock()
+    with ExitStack() as opened:
+        for file in read_timeline(recording).files:
+            if not file.goes_on:
+                yield from clock.timed(_decoded(decoder, None))
+                opened.close()
+            path, name = file.packets.file.path, file.packets.file.name
+            container, stream = opened.enter_context(open_video(path, threads, name))
+            if not file.goes_on or decoder is None:
+                decoder = stream.codec_context
+            first = clock.add(file)
+            for number, packet in numbered(container, stream):
+                packet.pts = packet.dts = first + number
+                yield from clock.timed(_decoded(decoder, packet))
+        yield from clock.timed(_decoded(decoder, None))
 
 
-def to_bgr(frame: VideoFrame, width_px: int | None) -> Image:
-    """A decoded frame as it is to be seen, turned as its file says, (H, W, 3) uint8; ``width_px`` as in `decode`."""
-    if _is_plain(frame):
-        image = np.asarray(cv2.cvtColor(frame.to_ndarray(), cv2.COLOR_YUV2BGR_I420), dtype=np.uint8)
-    else:
-        image = np.asarray(frame.to_ndarray(format="bgr24", interpolation=ACCURATE), dtype=np.uint8)
-    turn = _QUARTER_TURNS.get(int(frame.rotation) % 360)
-    if turn is not None:
-        image = np.asarray(cv2.rotate(image, turn), dtype=np.uint8)
-    return image if width_px is None else shrunk_image(image, width_px)
+def _decoded(decoder: VideoCodecContext | None, packet: av.Packet | None) -> list[VideoFrame]:
+    """What comes out when a packet goes in, nothing where the decoder refuses it; None: all that is left."""
+    if decoder is not None:
+        with suppress(av.FFmpegError, EOFError):
+            return list(decoder.decode(packet))
+    return []
+
+
+class _FrameClock:
+    """Times of decoded frames by the numbers of their packets, over all files of a recording."""
+
+    def __init__(self) -> None:
+        self._files: list[tuple[int, TimedFile, _ShownOrder | None]] = []
+
+    def add(self, file: TimedFile) -> int:
+        """Go on with a file; returns the number of its first packet."""
+        first = self._files[-1][0] + len(self._files[-1][1].times_ns) if self._files else 0
+        self._files.append((first, file, _ShownOrder(file) if file.packets.in_order else None))
+        return first
+
+    def timed(self, frames: Iterable[VideoFrame]) -> Iterator[tuple[int, VideoFrame]]:
+        """Frames in the order shown, with their times."""
+        for frame in frames:
+            if frame.pts is None:
+                continue
+            first, file, order = next(entry for entry in reversed(self._files) if entry[0] <= frame.pts)
+            number = frame.pts - first
+            if number < len(file.times_ns):
+                time_ns = int(file.times_ns[number]) if order is None else order.time_ns(number)
+                if time_ns != UNUSED:
+                    yield time_ns, frame
+
+
+class _ShownOrder:
+    """Times of a file's frames where its stamps say in which order they are decoded: the first shown has the first."""
+
+    def __init__(self, file: TimedFile) -> None:
+        self._used = np.flatnonzero(file.times_ns != UNUSED).tolist()
+        self._rank = {number: rank for rank, number in enumerate(self._used)}
+        self._times_ns = file.used_ns.tolist()
+        self._shown: set[int] = set()
+        self._settled = self._latest = 0
+
+    def time_ns(self, number: int) -> int:
+        """Of the frame that is shown next, by the number of its packet."""
+        rank = self._rank.get(number)
+        if rank is None:
+            return UNUSED
+        self._latest = max(self._latest, rank)
+        while self._settled < self._latest - _LONGEST_WAIT:  # what was not shown until now is damaged
+            self._shown.discard(self._settled)
+            self._settled += 1
+        place = len(self._shown) + self._settled
+        self._shown.add(rank)
+        return self._times_ns[place] if place < len(self._times_ns) else UNUSED

@@ -2,105 +2,130 @@
 
 from __future__ import annotations
 
+from itertools import pairwise
 from pathlib import Path
 
-import av
 import numpy as np
-from av.container import InputContainer
-from av.video.frame import VideoFrame
-from av.video.stream import VideoStream
 from numpy.typing import NDArray
 
-from wibam_core.documents.recordings import VideoInfo
+from wibam_core.documents.recordings import SizeChange, VideoInfo
 from wibam_core.errors import UnreadableVideo
-from wibam_core.video.source import ns_from_pts, open_video
+from wibam_core.video.packets import Look
+from wibam_core.video.picture import Size
+from wibam_core.video.recording import Recording
+from wibam_core.video.timeline import UNUSED, TimedFile, Timeline, read_timeline
 
 #: Intervals that differ from the usual one by more than this share make a frame rate variable.
 _RATE_TOLERANCE = 0.1
 #: A recording whose timestamps span more has wrong timestamps.
 _MAX_HOURS = 48
-#: Timestamps beyond this (ns, from zero either way) are damaged: 100 years.
-_MAX_TIME_NS = 100 * 365 * 86_400 * 10**9
+#: Pictures whose aspect ratios differ by more than this share show different things.
+_ASPECT_TOLERANCE = 0.01
 
 
-def probe(path: Path) -> VideoInfo:
+def probe(recording: Path | Recording) -> VideoInfo:
     """Measure a recording: as `measure`, without the times."""
-    return measure(path)[0]
+    return measure(recording)[0]
 
 
-def measure(path: Path) -> tuple[VideoInfo, NDArray[np.int64]]:
-    """Measure a recording: reads all of it, decodes one frame.
+def measure(recording: Path | Recording, size_px: Size | None = None) -> tuple[VideoInfo, NDArray[np.int64]]:
+    """Measure a recording: reads all of it, decodes some frames.
+
+    Args:
+        recording: its file or files.
+        size_px: width and height that its calibration is for, by which it is chosen whether pictures whose pixels
+            are not square are stretched; None: they stay as they are.
 
     Returns:
         What it is, and the presentation times (N,) in ns of all its frames, ascending. Not all of them need decode.
 
     Raises:
-        UnreadableVideo: not a video, no video stream, an unknown codec, too large a frame, cut off, or no frame
-            that can be decoded.
+        UnreadableVideo: not a video, no video stream, an unknown codec, too large a frame, cut off, no frame
+            that can be decoded, pictures that cannot be brought to one size, or files in no order.
     """
-    with open_video(path) as (container, stream):
-        codec = stream.codec_context.name
-        container_name = container.format.name.split(",")[0]
-        declared = stream.frames
-        first = _first_frame(container, stream, path)
-        tick_ns = 1e9 * float(stream.time_base or 0)
-    # a fresh container: seeking back is what formats without an index do badly
-    with open_video(path) as (container, stream):
-        times_ns = _packet_times_ns(container, stream)
-    if len(times_ns) < 2:
-        raise UnreadableVideo(f"{path.name} holds {len(times_ns)} frames with a timestamp: that is no recording")
+    recording = Recording.at(recording) if isinstance(recording, Path) else recording
+    timeline = read_timeline(recording, look=True)
+    times_ns = timeline.times_ns
+    named = timeline.files[0].packets.file.name
     hours = float(times_ns[-1] - times_ns[0]) / 3.6e12
     if hours > _MAX_HOURS:
-        raise UnreadableVideo(f"the timestamps of {path.name} span {hours:.0f} hours: they are damaged")
+        raise UnreadableVideo(f"the timestamps of {named} span {hours:.0f} hours: they are damaged")
     intervals_ns = np.diff(times_ns)
     usual_ns = _usual_interval_ns(intervals_ns)
-    rotation = int(first.rotation) % 360
-    width, height = (first.width, first.height) if rotation % 180 == 0 else (first.height, first.width)
+    looks = _looks(timeline)
+    (width, height), changes = _one_size(looks, size_px, named)
+    first, packets = looks[0][1], timeline.files[0].packets
+    within = np.abs(intervals_ns - usual_ns) <= _RATE_TOLERANCE * usual_ns + packets.tick_ns
     info = VideoInfo(
-        codec=codec,
-        container=container_name,
+        codec=packets.codec,
+        container=packets.container,
         width_px=width,
         height_px=height,
-        rotation_deg=rotation,
+        rotation_deg=first.orientation.rotation_deg,
         fps=1e9 / usual_ns,
         frames=len(times_ns),
-        missing_frames=max(declared - len(times_ns), 0),
+        missing_frames=sum(file.packets.missing for file in timeline.files),
         first_ns=int(times_ns[0]),
         last_ns=int(times_ns[-1]),
         duration_s=float(times_ns[-1] - times_ns[0] + usual_ns) / 1e9,
         largest_gap_s=float(intervals_ns.max()) / 1e9,
-        variable_rate=bool((np.abs(intervals_ns - usual_ns) > _RATE_TOLERANCE * usual_ns + tick_ns).any()),
+        variable_rate=not bool(within.all()),
+        segments=list(timeline.segments) if len(timeline.segments) > 1 else [],
+        files=len(timeline.files),
+        missing_files=list(timeline.missing_files),
+        doubled_frames=timeline.doubled,
+        unused_frames=timeline.unused,
+        stray_frames=timeline.stray,
+        hidden_frames=sum(file.packets.hidden for file in timeline.files),
+        mirrored=first.orientation.mirrored,
+        stored_px=None if first.upright_px == (width, height) else first.upright_px,
+        pixel_aspect=float(first.pixel_aspect),
+        size_changes=changes,
+        interlaced=any(look.interlaced for _, look in looks),
+        high_range=any(look.high_range for _, look in looks),
+        has_clock=all(file.packets.has_clock for file in timeline.files),
+        video_tracks=max(file.packets.tracks for file in timeline.files),
     )
     return info, times_ns
 
 
-def _first_frame(container: InputContainer, stream: VideoStream, path: Path) -> VideoFrame:
-    try:
-        for packet in container.demux(stream):
-            try:
-                frames = stream.decode(packet)
-            except av.FFmpegError:
-                continue
-            if frames:
-                return frames[0]
-    except (av.FFmpegError, EOFError):
-        pass
-    raise UnreadableVideo(f"{path.name} has a video stream, but not one frame of it can be decoded")
+def _looks(timeline: Timeline) -> list[tuple[int, Look]]:
+    """What pictures look like, each with about its time, where that changes."""
+    return [(_time_near(file, number), look) for file in timeline.files for number, look in file.packets.looks.items()]
 
 
-def _packet_times_ns(container: InputContainer, stream: VideoStream) -> NDArray[np.int64]:
-    """Presentation times of all packets, ascending, each once. Packets come in decoding order."""
-    times: list[int] = []
-    try:
-        for packet in container.demux(stream):
-            if packet.pts is None or not packet.size or packet.is_discard:
-                continue
-            time_ns = ns_from_pts(packet.pts, packet.time_base)
-            if abs(time_ns) <= _MAX_TIME_NS:
-                times.append(time_ns)
-    except (av.FFmpegError, EOFError):
-        pass  # cut off here: what came before is counted
-    return np.unique(np.asarray(times, dtype=np.int64))
+def _time_near(file: TimedFile, number: int) -> int:
+    later = file.times_ns[number:]
+    used = later[later != UNUSED]
+    return int(used[0]) if len(used) else int(file.used_ns[-1])
+
+
+def _one_size(looks: list[tuple[int, Look]], wanted_px: Size | None, name: str) -> tuple[Size, list[SizeChange]]:
+    """The size that all pictures are brought to, and where that of the file changes.
+
+    Raises:
+        UnreadableVideo: pictures differ in shape, so that it is unknown which part of one the other shows.
+    """
+    first = looks[0][1].upright_px
+    chosen = first
+    if wanted_px is not None and any(wanted_px in (look.upright_px, look.square_px) for _, look in looks):
+        chosen = wanted_px
+    changes: list[SizeChange] = []
+    for (_, before), (time_ns, look) in pairwise([looks[0], *looks]):
+        width, height = look.upright_px
+        if before.upright_px != look.upright_px:
+            changes.append(SizeChange(time_ns=time_ns, width_px=width, height_px=height))
+        if not any(_same_shape(size, chosen) for size in (look.upright_px, look.square_px)):
+            raise UnreadableVideo(
+                f"the picture of {name} changes from {first[0]}x{first[1]} to {width}x{height} px at "
+                f"{time_ns / 1e9:.1f} s, which is another shape",
+                hint="Cut the recording there and use one part, or let the camera record at one size.",
+            )
+    return chosen, changes
+
+
+def _same_shape(one: Size, other: Size) -> bool:
+    return abs(one[0] * other[1] / (one[1] * other[0]) - 1) <= _ASPECT_TOLERANCE
 
 
 def _usual_interval_ns(intervals_ns: NDArray[np.int64]) -> float:

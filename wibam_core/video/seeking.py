@@ -7,14 +7,11 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import av
-import numpy as np
-from numpy.typing import NDArray
 
 from wibam_core.errors import UnreadableVideo
-from wibam_core.video.decode import to_bgr
+from wibam_core.video.picture import Image, Orientation, to_bgr
 from wibam_core.video.source import ns_from_pts, open_video
 
-Image = NDArray[np.uint8]
 _NS_PER_S = 1_000_000_000
 
 
@@ -40,7 +37,7 @@ def read_header(path: Path) -> Header:
     """
     with open_video(path) as (container, stream):
         for frame in _decoded(container, stream):
-            height, width = to_bgr(frame, None).shape[:2]
+            width, height = Orientation.of(frame).size((frame.width, frame.height))
             duration_s = float(container.duration or 0) / av.time_base
             return Header(duration_s, float(stream.average_rate or 0), width, height)
     raise UnreadableVideo(f"{path.name} has no frame that can be decoded", hint="Upload the recording again.")
@@ -72,11 +69,15 @@ def frames_from(path: Path, start_ns: int, *, width_px: int | None = None) -> It
                 before = time_ns, frame
                 continue
             if before is not None and time_ns > start_ns:
-                yield before[0], to_bgr(before[1], width_px)
+                yield before[0], _shown(before[1], width_px)
             before = None
-            yield time_ns, to_bgr(frame, width_px)
+            yield time_ns, _shown(frame, width_px)
         if before is not None:
-            yield before[0], to_bgr(before[1], width_px)
+            yield before[0], _shown(before[1], width_px)
+
+
+def _shown(frame: av.VideoFrame, width_px: int | None) -> Image:
+    return to_bgr(frame, Orientation.of(frame), None, width_px)
 
 
 def _decoded(container: av.container.InputContainer, stream: av.video.stream.VideoStream) -> Iterator[av.VideoFrame]:

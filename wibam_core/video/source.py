@@ -14,7 +14,10 @@ from av.video.stream import VideoStream
 from wibam_core.errors import UnreadableVideo
 
 #: Demuxers that may read an upload. Play lists and image sequences, which open other files, are not among them.
-FORMATS = ("mov", "mp4", "m4a", "3gp", "3g2", "mj2", "matroska", "webm", "avi", "mpegts", "mpeg", "flv", "asf", "ogg")
+FORMATS = (
+    *("mov", "mp4", "m4a", "3gp", "3g2", "mj2", "matroska", "webm", "avi", "mpegts", "mpeg", "flv", "asf", "ogg"),
+    *("h264", "hevc"),
+)
 #: Decoders that may read an upload, by the name of the decoder.
 CODECS = (
     "h264",
@@ -36,7 +39,9 @@ MAX_PIXELS = 40_000_000
 ACCURATE = 0x2 | 0x2000 | 0x40000
 
 _NS_PER_S = 1_000_000_000
-_ATTACHED_PICTURE = av.stream.Disposition.attached_pic
+_NO_RECORDING = (
+    av.stream.Disposition.attached_pic | av.stream.Disposition.timed_thumbnails | av.stream.Disposition.still_image
+)
 
 
 def ns_from_pts(pts: int, time_base: Fraction) -> int:
@@ -46,62 +51,85 @@ def ns_from_pts(pts: int, time_base: Fraction) -> int:
 
 
 @contextmanager
-def open_video(path: Path, threads: int = 1) -> Iterator[tuple[InputContainer, VideoStream]]:
+def open_video(path: Path, threads: int = 1, name: str | None = None) -> Iterator[tuple[InputContainer, VideoStream]]:
     """Open a recording and its video stream for reading.
 
     Args:
         path: the file.
         threads: decoding threads.
+        name: what messages call it; None: its name on the disk.
 
     Raises:
         UnreadableVideo: saying what the file is instead of a readable video.
     """
+    name = name or path.name
     if not path.is_file():
-        raise UnreadableVideo(f"{path.name} does not exist or is no file", hint="Give the path of a recording.")
+        raise UnreadableVideo(f"{name} does not exist or is no file", hint="Give the path of a recording.")
     if path.stat().st_size == 0:
-        raise UnreadableVideo(f"{path.name} is an empty file", hint="Upload the recording again.")
+        raise UnreadableVideo(f"{name} is an empty file", hint="Upload the recording again.")
     limits = {"protocol_whitelist": "file", "format_whitelist": ",".join(FORMATS), "codec_whitelist": ",".join(CODECS)}
     try:
         # an absolute path begins with no protocol
         container = av.open(str(path.resolve()), "r", container_options=limits, options={"max_pixels": str(MAX_PIXELS)})
     except (av.FFmpegError, OSError, ValueError) as error:
-        raise _refusal(path) from error
+        raise _refusal(path, name) from error
     with container:
-        stream = _video_stream(container, path)
+        stream = _video_stream(container, name)
         stream.codec_context.thread_count = max(threads, 1)
         if threads > 1:
             stream.codec_context.thread_type = "AUTO"
         yield container, stream
 
 
-def _video_stream(container: InputContainer, path: Path) -> VideoStream:
-    streams = [s for s in container.streams.video if not s.disposition & _ATTACHED_PICTURE]
+def video_streams(container: InputContainer) -> list[VideoStream]:
+    """The video tracks that may be the recording, the likeliest first: no cover pictures, thumbnails or stills.
+
+    Among several it is, as in players, one that the file marks as its default, else the one with the largest picture.
+    """
+    streams = [
+        stream
+        for stream in container.streams.video
+        if not stream.disposition & _NO_RECORDING and stream.codec_context is not None
+    ]
+    moving = [stream for stream in streams if stream.frames != 1] or streams
+    readable = [stream for stream in moving if stream.codec_context.name in CODECS] or moving
+
+    def rank(stream: VideoStream) -> tuple[bool, int, int]:
+        default = bool(stream.disposition & av.stream.Disposition.default)
+        return (not default, -stream.codec_context.width * stream.codec_context.height, stream.index)
+
+    return sorted(readable, key=rank)
+
+
+def _video_stream(container: InputContainer, name: str) -> VideoStream:
+    streams = video_streams(container)
     if not streams:
         kinds = ", ".join(sorted({s.type for s in container.streams}))
-        raise UnreadableVideo(f"{path.name} has no video stream: it holds {kinds or 'nothing'} only")
+        if container.streams.video:
+            kinds = "pictures" if kinds == "video" else f"pictures, {kinds}"
+        raise UnreadableVideo(f"{name} has no video stream: it holds {kinds or 'nothing'} only")
     stream = streams[0]
     codec = stream.codec_context
-    if codec is None or codec.name not in CODECS:
-        name = "an unknown codec" if codec is None else f"the codec {codec.name}"
+    if codec.name not in CODECS:
         raise UnreadableVideo(
-            f"{path.name} has video in {name}, which we do not read",
+            f"{name} has video in the codec {codec.name}, which we do not read",
             hint="Re-encode it as H.264 in an MP4 file.",
         )
     if codec.width * codec.height > MAX_PIXELS:
         raise UnreadableVideo(
-            f"{path.name} is {codec.width}x{codec.height} px; the largest frame that we read has {MAX_PIXELS:,} px",
+            f"{name} is {codec.width}x{codec.height} px; the largest frame that we read has {MAX_PIXELS:,} px",
             hint="Re-encode it at a smaller size.",
         )
     return stream
 
 
-def _refusal(path: Path) -> UnreadableVideo:
+def _refusal(path: Path, name: str) -> UnreadableVideo:
     """Why a file that did not open did not: MP4 files that were cut off are the common case."""
     with path.open("rb") as file:
         head = file.read(12)
     if head[4:8] == b"ftyp":
         return UnreadableVideo(
-            f"{path.name} is an MP4 file that was cut off before its end: its index is missing or broken",
+            f"{name} is an MP4 file that was cut off before its end: its index is missing or broken",
             hint="Copy the file from the camera again; many cameras repair an interrupted recording when switched on.",
         )
-    return UnreadableVideo(f"{path.name} is not a video in a format that we read")
+    return UnreadableVideo(f"{name} is not a video in a format that we read")

@@ -31,7 +31,7 @@ class TestLife:
         done = world.jobs.job(job.id)
         assert done.state is JobState.SUCCEEDED
         assert done.options == {"x": 1}
-        assert done.recordings["north"].id == world.file.id
+        assert [file.id for file in done.recordings["north"]] == [world.file.id]
         assert all(stage.summary == {"n": 1} and stage.fraction == 1.0 for stage in done.stages)
 
     def test_a_failure_names_the_stage_and_waits_for_what_still_runs(self, world: World) -> None:

@@ -24,6 +24,7 @@ from wibam_core.stages import evaluate, finetune, preflight, track
 from wibam_core.stages.graph import InputDigests, plan
 from wibam_core.stages.runner import SiteFolder, StageUpdate, run_pipeline
 from wibam_core.stages.store import StageStore
+from wibam_core.video.recording import Recording
 
 CUSTOM = FinetuneConfig(network="custom", steps=1, batch_size=1, steps_per_epoch=1)
 
@@ -117,7 +118,7 @@ def test_what_cannot_be_used_is_refused_before_anything_is_read(tmp_path: Path, 
 def test_one_that_cannot_be_used_is_refused_by_the_first_stage(tmp_path: Path) -> None:
     (tmp_path / "video").write_bytes(b"no video")
     save_file({"any": torch.zeros(1)}, str(tmp_path / "network"), metadata={"family": "other"})
-    recordings = dict.fromkeys(site_of().camera_ids, tmp_path / "video")
+    recordings = dict.fromkeys(site_of().camera_ids, Recording.at(tmp_path / "video"))
     folder = SiteFolder(site_of(), recordings, {"network": tmp_path / "network"})
     custom = PipelineConfig.parse({"finetune": {"network": "custom"}})
     with pytest.raises(InvalidWeights, match="the site's network: network: family is 'other'"):
@@ -131,7 +132,7 @@ def test_options_that_it_cannot_do_are_refused_by_the_first_stage(
     tmp_path: Path, weights: Path, options: dict[str, Any], why: str
 ) -> None:
     (tmp_path / "video").write_bytes(b"no video")
-    recordings = dict.fromkeys(site_of().camera_ids, tmp_path / "video")
+    recordings = dict.fromkeys(site_of().camera_ids, Recording.at(tmp_path / "video"))
     folder, store = SiteFolder(site_of(), recordings, {"network": weights}), StageStore(tmp_path / "store")
     with pytest.raises(InvalidOption, match=why):
         run_pipeline(folder, store, PipelineConfig.parse({"finetune": {"network": "custom", **options}}))
@@ -174,7 +175,7 @@ def test_a_device_that_is_not_there_is_refused_before_the_first_stage(
 ) -> None:
     monkeypatch.setattr(torch.cuda, "is_available", lambda: False)
     (tmp_path / "video").write_bytes(b"no video")
-    folder = SiteFolder(site_of(), dict.fromkeys(site_of().camera_ids, tmp_path / "video"), {})
+    folder = SiteFolder(site_of(), dict.fromkeys(site_of().camera_ids, Recording.at(tmp_path / "video")), {})
     config = PipelineConfig.parse({"finetune": {"device": "cuda"}})
     updates: list[StageUpdate] = []
     with pytest.raises(InvalidOption, match="no CUDA device"):

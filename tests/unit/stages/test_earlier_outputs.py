@@ -32,6 +32,8 @@ from wibam_core.stages.runner import SiteFolder, run_pipeline
 from wibam_core.stages.store import StageStore
 from wibam_core.video import decode
 from wibam_core.video.encode import VideoWriter
+from wibam_core.video.picture import Orientation
+from wibam_core.video.recording import Recording
 
 S = 10**9
 STEP_NS = S // 25
@@ -76,9 +78,9 @@ def counted(monkeypatch: pytest.MonkeyPatch) -> Counted:
     counted = Counted()
     sound = decode._frames
 
-    def opened(path: Path, threads: int) -> Iterator[tuple[int, VideoFrame]]:
-        counted.opened.append(path.stem)
-        yield from sound(path, threads)
+    def opened(recording: Recording, threads: int) -> Iterator[tuple[int, VideoFrame, Orientation]]:
+        counted.opened.append(recording.files[0].path.stem)
+        yield from sound(recording, threads)
 
     monkeypatch.setattr(decode, "_frames", opened)
     monkeypatch.setattr(detect, "load_detector", lambda path, **options: counted)
@@ -94,7 +96,10 @@ class Place:
 
     def __post_init__(self) -> None:
         self.store = StageStore(self.root / "outputs")
-        recordings = {"a": record(self.root / "a.mp4", 0), "b": record(self.root / "b.mp4", 3 * STEP_NS)}
+        recordings = {
+            "a": Recording.at(record(self.root / "a.mp4", 0)),
+            "b": Recording.at(record(self.root / "b.mp4", 3 * STEP_NS)),
+        }
         self.folder = SiteFolder(site_of("ab"), recordings, {})
 
     def clock(self, offset_ns: int) -> None:
@@ -242,7 +247,7 @@ def test_law_frames_are_what_they_are_whatever_was_there(
 ) -> None:
     """Also where frames are damaged, which only decoding tells."""
     image = VideoFrame.from_ndarray(np.full((16, 16, 3), 90, np.uint8), format="bgr24")
-    sound = [(time_ns, image) for time_ns in TIMES_NS if time_ns not in damaged]
+    sound = [(time_ns, image, Orientation()) for time_ns in TIMES_NS if time_ns not in damaged]
     monkeypatch.setattr(decode, "_frames", lambda path, threads: iter(sound))
     root = tmp_path_factory.mktemp("runs")
     earlier: list[ArtifactReader] = []

@@ -38,6 +38,8 @@ from wibam_core.stages import detect, frames, preflight
 from wibam_core.stages.base import StageContext
 from wibam_core.video import decode
 from wibam_core.video.encode import VideoWriter
+from wibam_core.video.picture import Orientation
+from wibam_core.video.recording import Recording
 
 S = 10**9
 WIDTH, HEIGHT = 128, 72
@@ -185,8 +187,9 @@ def test_a_damaged_frame_is_replaced_by_the_nearest_sound_one(three: Run, monkey
     three.preflight(min_overlap_s=1)
     gone = {three.read(catalogue.TIMESTAMPS)["b"][number] for number in (50, 51, 52)}  # b shows 2.0 to 2.08 s
 
-    def damaged(path: Path, threads: int) -> Iterator[tuple[int, VideoFrame]]:
-        return (frame for frame in sound(path, threads) if path.stem != "b" or frame[0] not in gone)
+    def damaged(recording: Recording, threads: int) -> Iterator[tuple[int, VideoFrame, Orientation]]:
+        in_b = recording.files[0].path.stem == "b"
+        return (frame for frame in sound(recording, threads) if not in_b or frame[0] not in gone)
 
     sound = decode._frames
     monkeypatch.setattr(decode, "_frames", damaged)
@@ -196,6 +199,7 @@ def test_a_damaged_frame_is_replaced_by_the_nearest_sound_one(three: Run, monkey
     assert [shown[time_ns] for time_ns in (1_920_000_000, 2_000_000_000, 2_080_000_000)] == [48, 49, 53]
     assert set(store.damaged_ns("b")) == gone
     assert summary["damaged"] == {"a": 0, "b": 3, "c": 0}
+    assert [(warning.code, warning.details["camera"]) for warning in three.warnings] == [("frames_damaged", "b")]
 
 
 def test_frames_of_the_background_stay_whatever_the_clocks_are(three: Run) -> None:

@@ -18,6 +18,7 @@ from wibam_core.artifacts.access import MANIFEST
 from wibam_core.config import PipelineConfig
 from wibam_core.stages import runner
 from wibam_core.stages.store import StageStore
+from wibam_core.video.recording import Recording
 
 HASH = "0123456789abcdef" * 4
 
@@ -203,7 +204,7 @@ def test_what_another_process_made_meanwhile_is_taken(tmp_path: Path, monkeypatc
     rig = corner_rig()
     for camera_id in rig:
         (tmp_path / camera_id).write_bytes(b"video")
-    folder = runner.SiteFolder(site_of(rig), {camera_id: tmp_path / camera_id for camera_id in rig}, {})
+    folder = runner.SiteFolder(site_of(rig), {camera_id: Recording.at(tmp_path / camera_id) for camera_id in rig}, {})
     told: list[runner.StageUpdate] = []
     store = SlowStore(tmp_path / "outputs")
     result = runner.run_pipeline(folder, store, PipelineConfig(), told.append, until="preflight")

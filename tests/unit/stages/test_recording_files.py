@@ -1,0 +1,69 @@
+"""Where the files of a camera's recording lie in a site folder."""
+
+import json
+from pathlib import Path
+
+import pytest
+
+from tests.builders import corner_rig, site_of
+from wibam_core.errors import MissingCamera, SiteFileError
+from wibam_core.stages.recording_files import digest_of
+from wibam_core.stages.runner import SiteFolder
+
+
+def folder_with(root: Path, *names: str, **lists: list[str]) -> SiteFolder:
+    """A site of cam1 and cam2 with these files below ``recordings/``, and with lists of some cameras' recordings."""
+    site = json.loads(site_of(corner_rig(2)).model_dump_json())
+    for camera in site["cameras"]:
+        camera["recordings"] = lists.get(camera["id"], [])
+    root.mkdir(exist_ok=True)
+    (root / "site.json").write_text(json.dumps(site))
+    for name in names:
+        path = root / "recordings" / name
+        path.parent.mkdir(parents=True, exist_ok=True)
+        path.write_bytes(name.encode())
+    return SiteFolder.load(root)
+
+
+def names_of(folder: SiteFolder, camera_id: str) -> list[str]:
+    return [file.name for file in folder.recordings[camera_id].files]
+
+
+def test_a_folder_of_a_camera_holds_all_its_files(tmp_path: Path) -> None:
+    folder = folder_with(
+        tmp_path, "cam1.mp4", "cam2/GX020001.MP4", "cam2/GX010001.MP4", "cam2/GX010001.THM", "cam2/.DS_Store"
+    )
+    assert names_of(folder, "cam1") == ["cam1.mp4"]
+    assert names_of(folder, "cam2") == ["GX010001.MP4", "GX020001.MP4"]
+
+
+def test_a_list_chooses_files_beside_each_other_or_in_the_camera_s_folder(tmp_path: Path) -> None:
+    folder = folder_with(
+        tmp_path, "cam1.mp4", "b.mp4", "cam2/a.mp4", "cam2/other.mp4", cam2=["b.mp4", "a.mp4"], cam1=["cam1.mp4"]
+    )
+    assert names_of(folder, "cam2") == ["a.mp4", "b.mp4"]
+
+
+def test_a_listed_file_that_is_not_there_is_named(tmp_path: Path) -> None:
+    with pytest.raises(MissingCamera, match=r"b\.mp4, a recording of camera cam2, is not there"):
+        folder_with(tmp_path, "cam1.mp4", "cam2/a.mp4", cam2=["b.mp4", "a.mp4"])
+
+
+def test_a_file_and_a_folder_of_one_camera_are_refused(tmp_path: Path) -> None:
+    with pytest.raises(SiteFileError, match=r"several recordings: cam2\.mp4, a\.mp4") as refused:
+        folder_with(tmp_path, "cam1.mp4", "cam2.mp4", "cam2/a.mp4")
+    assert "recordings/cam2/" in refused.value.hint
+
+
+@pytest.mark.parametrize("names", [["a.mp4", "a.mp4"], ["../a.mp4"], ["x\\a.mp4"], [""], [".."]])
+def test_a_list_holds_plain_names_that_differ(tmp_path: Path, names: list[str]) -> None:
+    with pytest.raises(SiteFileError):
+        folder_with(tmp_path, "cam1.mp4", cam2=names)
+
+
+def test_the_digest_knows_names_but_no_order_and_that_of_one_file_is_the_file_s() -> None:
+    assert digest_of([("a", "12")]) == "12"
+    both = digest_of([("a", "12"), ("b", "34")])
+    assert both == digest_of([("b", "34"), ("a", "12")])
+    assert both != digest_of([("a", "34"), ("b", "12")])
+    assert both != digest_of([("a", "12"), ("c", "34")])

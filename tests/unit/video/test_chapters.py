@@ -1,0 +1,167 @@
+"""Recordings of several files: order, joints without a frame lost or doubled, gaps, missing chapters."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from tests.foreign_recordings import FPS, copy, number_of, write
+from wibam_core.documents.recordings import VideoInfo
+from wibam_core.errors import UnreadableVideo
+from wibam_core.video.cautions import cautions_of
+from wibam_core.video.chapters import in_order
+from wibam_core.video.decode import OnePass, decode
+from wibam_core.video.probe import measure
+from wibam_core.video.recording import Recording
+
+STEP_NS = 1e9 / FPS
+MP4_ERROR_NS = 100_000
+
+
+def read(*paths: Path) -> tuple[VideoInfo, np.ndarray, list[int]]:
+    """What is measured, the times in ns, and the numbers seen in the pictures; every time is decoded at that time."""
+    recording = Recording.at(*paths)
+    info, times_ns = measure(recording)
+    decoded = [(time_ns, number_of(image)) for time_ns, image in decode(recording)]
+    assert [time_ns for time_ns, _ in decoded] == times_ns.tolist()
+    return info, times_ns, [number for _, number in decoded]
+
+
+def codes(info: VideoInfo) -> list[str]:
+    return [caution.code for caution in cautions_of(info)]
+
+
+def assert_one_timeline(times_ns: np.ndarray, numbers: list[int], count: int) -> None:
+    """Frame by frame: none is lost, none doubled, and each has the time that its number says."""
+    assert numbers == [*range(count)]
+    assert np.abs(times_ns - times_ns[0] - np.arange(count) * STEP_NS).max() < MP4_ERROR_NS
+
+
+@pytest.mark.parametrize(
+    ("names", "said"),
+    [
+        (("GH010042.MP4", "GH020042.MP4", "GH030042.MP4"), []),
+        (("GX010007.mp4", "GX020007.mp4", "GX030007.mp4"), []),
+        (("GOPR0042.MP4", "GP010042.MP4", "GP020042.MP4"), []),
+        (("DJI_0007.MP4", "DJI_0008.MP4", "DJI_0009.MP4"), ["gap_unknown"]),
+        (("north_9.mp4", "north_10.mp4", "north_11.mp4"), ["gap_unknown"]),
+        (("north.mp4", "north (1).mp4", "north (2).mp4"), ["gap_unknown"]),
+    ],
+)
+def test_chapters_are_joined_in_their_order(tmp_path: Path, names: tuple[str, ...], said: list[str]) -> None:
+    paths = [
+        write(tmp_path / name, range(20 * part, 20 * part + 20), b_frames=2, key_every=10)
+        for part, name in enumerate(names)
+    ]
+    info, times_ns, numbers = read(paths[2], paths[0], paths[1])
+    assert_one_timeline(times_ns, numbers, 60)
+    assert [segment.file for segment in info.segments] == list(names)
+    assert codes(info) == said
+
+
+def test_stamps_that_go_on_join_files_cut_between_key_frames(tmp_path: Path) -> None:
+    """One decoder reads through: the frames up to the next key frame are not lost."""
+    whole = write(tmp_path / "whole.ts", range(60), b_frames=2, key_every=24)
+    paths = [
+        copy(whole, tmp_path / f"cam_{part}.ts", keep=lambda number, _, part=part: number // 20 == part)  # type: ignore[misc]
+        for part in range(3)
+    ]
+    info, times_ns, numbers = read(*paths)
+    assert_one_timeline(times_ns, numbers, 60)
+    assert info.unused_frames == info.doubled_frames == 0
+    assert [segment.placed_by for segment in info.segments] == ["stamps", "stamps", "stamps"]
+    assert codes(info) == []
+
+
+def test_frames_that_two_files_hold_are_used_once(tmp_path: Path) -> None:
+    whole = write(tmp_path / "whole.ts", range(72), key_every=12)
+    first = copy(whole, tmp_path / "a_1.ts", keep=lambda number, _: number < 40)
+    second = copy(whole, tmp_path / "a_2.ts", keep=lambda number, _: number >= 36)
+    info, times_ns, numbers = read(first, second)
+    assert_one_timeline(times_ns, numbers, 72)
+    assert info.doubled_frames == 4
+
+
+def with_timecode(path: Path, numbers: range, timecode: str) -> Path:
+    return write(path, numbers, key_every=12, metadata={"timecode": timecode})
+
+
+def test_timecodes_keep_the_gap_of_a_missing_chapter_to_the_frame(tmp_path: Path) -> None:
+    first = with_timecode(tmp_path / "GH010042.MP4", range(24), "10:00:00:00")
+    third = with_timecode(tmp_path / "GH030042.MP4", range(48, 72), "10:00:02:00")
+    info, times_ns, numbers = read(third, first)
+    assert numbers == [*range(24), *range(48, 72)]
+    assert np.abs(times_ns - np.array(numbers) * STEP_NS).max() < MP4_ERROR_NS
+    assert info.missing_files == ["GH020042.MP4"]
+    assert info.segments[1].placed_by == "timecode"
+    assert codes(info) == ["chapter_missing", "recording_gap"]
+
+
+def test_timecodes_over_midnight(tmp_path: Path) -> None:
+    first = with_timecode(tmp_path / "a1.mp4", range(24), "23:59:59:00")
+    second = with_timecode(tmp_path / "a2.mp4", range(24, 48), "00:00:00:00")
+    info, times_ns, numbers = read(first, second)
+    assert_one_timeline(times_ns, numbers, 48)
+    assert codes(info) == []
+
+
+def test_a_missing_first_chapter_is_named(tmp_path: Path) -> None:
+    paths = [write(tmp_path / f"GX{chapter:02d}0007.MP4", range(20)) for chapter in (2, 3)]
+    info, _, _ = read(*paths)
+    assert info.missing_files == ["GX010007.MP4"]
+    assert "GX010007.MP4" in cautions_of(info)[0].message
+
+
+def test_creation_times_keep_a_gap_and_are_called_rough(tmp_path: Path) -> None:
+    first = write(tmp_path / "part1.mp4", range(48), metadata={"creation_time": "2024-05-01T10:00:00Z"})
+    second = write(tmp_path / "part2.mp4", range(48), metadata={"creation_time": "2024-05-01T10:01:00Z"})
+    info, times_ns, numbers = read(first, second)
+    assert numbers == [*range(48), *range(48)]
+    assert times_ns[48] - times_ns[0] == pytest.approx(60e9, abs=MP4_ERROR_NS)
+    assert info.segments[1].placed_by == "creation_time"
+    assert set(codes(info)) == {"recording_gap", "gap_rough"}
+
+
+def test_creation_times_that_tell_when_files_were_finished(tmp_path: Path) -> None:
+    """3 s and 1 s long, closed one after the other: no gap."""
+    first = write(tmp_path / "part1.mp4", range(72), metadata={"creation_time": "2024-05-01T10:00:03.000Z"})
+    second = write(tmp_path / "part2.mp4", range(24), metadata={"creation_time": "2024-05-01T10:00:04.000Z"})
+    _, times_ns, _ = read(first, second)
+    assert times_ns[72] - times_ns[0] == pytest.approx(3e9, abs=MP4_ERROR_NS)
+
+
+def test_times_in_the_names_of_a_recorders_files(tmp_path: Path) -> None:
+    paths = [
+        write(tmp_path / f"ch02_main_{time}.mp4", range(20 * part, 20 * part + 24), key_every=12)
+        for part, time in enumerate(("20240501100000", "20240501100030"))
+    ]
+    info, times_ns, _ = read(*reversed(paths))
+    assert times_ns[24] - times_ns[0] == pytest.approx(30e9, abs=MP4_ERROR_NS)
+    assert info.segments[1].placed_by == "name"
+
+
+def test_a_missing_number_is_named_where_time_is_missing_too(tmp_path: Path) -> None:
+    def part(number: int, second: int) -> Path:
+        time = f"2024-05-01T10:00:{second:02d}Z"
+        return write(tmp_path / f"DJI_{number:04d}.MP4", range(48), metadata={"creation_time": time})
+
+    info, _, _ = read(part(7, 0), part(9, 4), part(11, 6))  # no. 10 was a photograph
+    assert info.missing_files == ["DJI_0008.MP4"]
+
+
+def test_files_in_no_order_are_refused(tmp_path: Path) -> None:
+    with pytest.raises(UnreadableVideo, match=r"order of .*left\.mp4") as refused:
+        read(write(tmp_path / "left.mp4"), write(tmp_path / "right.mp4"))
+    assert "Number the names" in refused.value.hint
+
+
+def test_files_without_a_telling_name_are_ordered_by_their_dates() -> None:
+    assert [index for index, _ in in_order(["morning.mp4", "noon.mp4"], [20, 10])] == [1, 0]
+
+
+def test_frames_are_found_over_a_joint(tmp_path: Path) -> None:
+    paths = [write(tmp_path / f"GH0{part + 1}0042.MP4", range(24 * part, 24 * part + 24)) for part in range(2)]
+    one_pass = OnePass(Recording.at(*paths))
+    for number in (0, 23, 24, 47):
+        frame = one_pass.nearest(round(number * STEP_NS), 1_000_000)
+        assert frame is not None and number_of(frame.image_bgr) == number

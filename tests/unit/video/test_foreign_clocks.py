@@ -1,0 +1,152 @@
+"""Clocks as recordings bring them: stray stamps, restarts, decode times, edit lists, cuts between key frames."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from tests.foreign_recordings import FPS, copy, number_of, restamp_ts, write
+from wibam_core.documents.recordings import VideoInfo
+from wibam_core.video.cautions import cautions_of
+from wibam_core.video.decode import decode
+from wibam_core.video.probe import measure
+from wibam_core.video.recording import Recording
+
+STEP_NS = 1e9 / FPS
+
+
+def read(*paths: Path) -> tuple[VideoInfo, np.ndarray, list[int]]:
+    """What is measured, the times in ns, and the numbers seen in the pictures; every time is decoded at that time."""
+    recording = Recording.at(*paths)
+    info, times_ns = measure(recording)
+    decoded = [(time_ns, number_of(image)) for time_ns, image in decode(recording)]
+    assert [time_ns for time_ns, _ in decoded] == times_ns.tolist()
+    return info, times_ns, [number for _, number in decoded]
+
+
+def codes(info: VideoInfo) -> list[str]:
+    return [caution.code for caution in cautions_of(info)]
+
+
+def assert_true_times(times_ns: np.ndarray, numbers: list[int]) -> None:
+    """Each picture has the time that its number says, against the first."""
+    want = (np.array(numbers) - numbers[0]) * STEP_NS
+    assert np.abs(times_ns - times_ns[0] - want).max() < 20_000  # stamps are rounded to 1/90000 s
+
+
+@pytest.mark.parametrize(
+    ("jump_s", "b_frames"), [(30, 0), (600, 0), (37_600, 0), (-9_800, 0), (2, 0), (-0.5, 0), (30, 2), (-9_800, 2)]
+)
+def test_a_stray_stamp_costs_one_frame_and_is_said(tmp_path: Path, jump_s: float, b_frames: int) -> None:
+    path = write(tmp_path / "a.ts", range(60), b_frames=b_frames)
+    restamp_ts(path, 30, jump_s)
+    info, times_ns, numbers = read(path)
+    assert len(numbers) == 59
+    assert_true_times(times_ns, numbers)
+    assert info.duration_s == pytest.approx(60 / FPS, abs=0.001)
+    assert (info.unused_frames, info.stray_frames, info.segments) == (1, 1, [])
+    assert codes(info) == ["stray_stamps"]
+
+
+def test_a_clock_that_starts_again_is_a_segment_behind_the_first(tmp_path: Path) -> None:
+    part = write(tmp_path / "a.ts").read_bytes()
+    path = tmp_path / "joined.ts"
+    path.write_bytes(part + part)
+    info, times_ns, numbers = read(path)
+    assert numbers == [*range(48), *range(48)]
+    assert info.duration_s == pytest.approx(4.0, abs=0.001)
+    assert np.abs(np.diff(times_ns) - STEP_NS).max() < 20_000
+    assert [(s.frames, s.placed_by) for s in info.segments] == [(48, "stamps"), (48, "assumed")]
+    assert info.segments[1].first_ns == times_ns[48]
+    assert codes(info) == ["gap_unknown"]
+
+
+def test_a_time_without_frames_is_kept_and_begins_a_segment(tmp_path: Path) -> None:
+    first = write(tmp_path / "a.ts")
+    later = copy(first, tmp_path / "b.ts", shift_s=32.0)
+    path = tmp_path / "joined.ts"
+    path.write_bytes(first.read_bytes() + later.read_bytes())
+    info, times_ns, numbers = read(path)
+    assert numbers == [*range(48), *range(48)]
+    assert times_ns[48] - times_ns[0] == pytest.approx(32e9, abs=20_000)
+    assert [s.placed_by for s in info.segments] == ["stamps", "stamps"]
+    assert codes(info) == ["recording_gap"]
+
+
+def test_a_counter_of_33_bits_that_wraps_goes_on(tmp_path: Path) -> None:
+    wrap_s = 2**33 / 90_000
+    path = copy(write(tmp_path / "a.ts"), tmp_path / "b.ts", shift_s=wrap_s - 1)
+    info, times_ns, numbers = read(path)
+    assert numbers == [*range(48)]
+    assert_true_times(times_ns, numbers)
+    assert codes(info) == []
+
+
+@pytest.mark.parametrize("codec", ["libx264", "mpeg4"])
+def test_avi_with_b_frames_is_read_in_the_order_shown(tmp_path: Path, codec: str) -> None:
+    info, times_ns, numbers = read(write(tmp_path / "a.avi", codec=codec, b_frames=2))
+    assert numbers == [*range(48)]
+    assert_true_times(times_ns, numbers)
+    assert codes(info) == []
+
+
+def test_damage_in_avi_moves_no_later_frame(tmp_path: Path) -> None:
+    """Where decoding order is all there is, a frame that does not decode still takes its place."""
+    path = write(tmp_path / "a.avi", range(72), codec="mpeg4", b_frames=2, key_every=12)
+    data = bytearray(path.read_bytes())
+    vops = [at for at in range(len(data) - 4) if data[at : at + 4] == b"\0\0\1\xb6"]
+    data[vops[20] : vops[20] + 4] = b"\0\0\1\xb2"  # user data instead of a picture
+    path.write_bytes(data)
+    times = {number_of(image): time_ns for time_ns, image in decode(path)}
+    assert len(times) < 72
+    assert times[71] - times[0] == pytest.approx(71 * STEP_NS, abs=20_000)
+
+
+def test_a_raw_stream_is_read_in_order_and_its_rate_doubted(tmp_path: Path) -> None:
+    info, times_ns, numbers = read(write(tmp_path / "a.h264", container="h264", b_frames=2))
+    assert numbers == [*range(48)]
+    assert_true_times(times_ns, numbers)
+    assert codes(info) == ["no_clock"]
+
+
+def test_a_trimmed_mp4_hides_its_lead_in_without_a_warning(tmp_path: Path) -> None:
+    whole = write(tmp_path / "a.mp4", range(72), b_frames=2, key_every=48)
+    info, _, numbers = read(copy(whole, tmp_path / "b.mp4", shift_s=-1.0))
+    assert numbers == [*range(24, 72)]
+    assert (info.hidden_frames, info.missing_frames) == (24, 0)
+    assert codes(info) == []
+
+
+def test_a_recording_that_begins_between_key_frames_is_normal(tmp_path: Path) -> None:
+    whole = write(tmp_path / "a.ts", range(72))
+    info, times_ns, numbers = read(copy(whole, tmp_path / "b.ts", keep=lambda number, _: number >= 7))
+    assert numbers == [*range(24, 72)]
+    assert_true_times(times_ns, numbers)
+    assert codes(info) == []
+
+
+def test_negative_first_stamps_are_normal(tmp_path: Path) -> None:
+    path = copy(write(tmp_path / "a.mkv"), tmp_path / "b.asf", shift_s=-0.51, avoid_negative_ts="disabled")
+    info, times_ns, numbers = read(path)
+    assert numbers == [*range(48)]
+    assert times_ns[0] == pytest.approx(-0.468e9, abs=2e6)  # ASF adds a frame
+    assert codes(info) == []
+
+
+def test_many_frames_with_one_stamp_are_said(tmp_path: Path) -> None:
+    path = write(tmp_path / "a.ts", range(72))
+    for frame in range(20, 60, 4):
+        restamp_ts(path, frame, -1 / FPS)
+    info, times_ns, numbers = read(path)
+    assert len(numbers) == 62
+    assert_true_times(times_ns, numbers)
+    assert info.unused_frames == 10
+    assert "frames_unused" in codes(info)
+
+
+def test_a_variable_rate_is_normal(tmp_path: Path) -> None:
+    whole = write(tmp_path / "a.mkv", range(72), key_every=1)
+    info, times_ns, numbers = read(copy(whole, tmp_path / "b.mkv", keep=lambda number, _: number % 7 not in (2, 3, 5)))
+    assert info.variable_rate
+    assert np.abs(times_ns - np.array(numbers) * STEP_NS).max() < 1_000_000  # Matroska counts milliseconds
+    assert codes(info) == []

@@ -1,0 +1,75 @@
+"""Where the recordings lie in a site folder, and what several files of one camera are called together."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from collections.abc import Iterable
+from pathlib import Path
+
+from wibam_core.errors import MissingCamera, SiteFileError
+from wibam_core.site import SiteCamera
+from wibam_core.video.recording import Recording, RecordingFile
+
+#: What cameras write beside their recordings: thumbnails, previews of low resolution, subtitles with positions, sound.
+_BESIDE = (".thm", ".lrv", ".srt", ".jpg", ".jpeg", ".png", ".wav", ".txt", ".json", ".csv", ".xml", ".db", ".ini")
+
+
+def find_recording(folder: Path, camera: SiteCamera) -> Recording | None:
+    """A camera's recording in a folder ``recordings/``; None where there is none.
+
+    It is one file, ``<camera id>.<anything>``, or several in a folder ``<camera id>/``, of which all count, or those
+    that the site lists.
+
+    Raises:
+        SiteFileError: there are several files, and no folder or list says that they belong together.
+        MissingCamera: a file that the site lists is not there.
+    """
+    own = folder / camera.id
+    if camera.recordings:
+        return Recording(tuple(_listed(folder, camera, name) for name in sorted(camera.recordings)))
+    single = sorted(path for path in folder.glob(f"{camera.id}.*") if path.is_file())
+    if own.is_dir():
+        inside = sorted(path for path in own.iterdir() if path.is_file() and not _is_beside(path))
+        if inside and single:
+            raise _ambiguous(camera, [*single, *inside])
+        return Recording.at(*inside) if inside else None
+    if len(single) > 1:
+        raise _ambiguous(camera, single)
+    return Recording.at(single[0]) if single else None
+
+
+def digest_of(files: Iterable[tuple[str, str]]) -> str:
+    """What a recording's content is known by: the SHA-256 of its file, or one over names and those of several.
+
+    Args:
+        files: name and SHA-256 (hex) of each.
+    """
+    ordered = sorted(files)
+    if len(ordered) == 1:
+        return ordered[0][1]
+    return hashlib.sha256(json.dumps(ordered).encode()).hexdigest()
+
+
+def _is_beside(path: Path) -> bool:
+    return path.name.startswith(".") or path.suffix.lower() in _BESIDE
+
+
+def _listed(folder: Path, camera: SiteCamera, name: str) -> RecordingFile:
+    for path in (folder / camera.id / name, folder / name):
+        if path.is_file():
+            return RecordingFile.at(path)
+    raise MissingCamera(
+        f"{name}, a recording of camera {camera.id}, is not there",
+        hint=f"Put it into recordings/{camera.id}/, or take it off the site's list.",
+        camera=camera.id,
+        file=name,
+    )
+
+
+def _ambiguous(camera: SiteCamera, paths: list[Path]) -> SiteFileError:
+    return SiteFileError(
+        f"camera {camera.id} has several recordings: {', '.join(path.name for path in paths)}",
+        hint=f"Leave one of them in the folder, or put all parts of one recording into recordings/{camera.id}/.",
+        camera=camera.id,
+    )

@@ -1,0 +1,141 @@
+"""What a person should know about a recording before anything is computed from it."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+from wibam_core.documents.recordings import Segment, VideoInfo
+from wibam_core.documents.warnings import Caution
+
+#: Longer than this without a frame is worth a word.
+_LONGEST_GAP_S = 1.0
+#: More than this share of a recording's frames unused is worth a word.
+_UNUSED_SHARE = 0.02
+_NAMED = 5
+
+
+def cautions_of(info: VideoInfo) -> list[Caution]:
+    """Everything about a recording that makes a result doubtful."""
+    return [*_of_frames(info), *_of_time(info), *_of_pictures(info)]
+
+
+def _of_frames(info: VideoInfo) -> Iterator[Caution]:
+    if info.missing_frames:
+        yield Caution(
+            code="cut_off",
+            message=f"the file was cut off; its last {info.missing_frames} frames are missing",
+            hint="Copy the file from the camera again if what is missing matters; the rest is used.",
+            details={"frames": info.missing_frames},
+        )
+    if info.missing_files:
+        names = ", ".join(info.missing_files[:_NAMED]) + (" and others" if len(info.missing_files) > _NAMED else "")
+        yield Caution(
+            code="chapter_missing",
+            message=f"{names} should lie between the files, or before them, and is not there",
+            hint="Upload it with the others; until then nothing is seen by this camera meanwhile.",
+            details={"files": list(info.missing_files)},
+        )
+    if info.stray_frames:
+        yield Caution(
+            code="stray_stamps",
+            message=f"{info.stray_frames} frames have a time stamp far from those of the frames around, "
+            "and are left out",
+            hint="Nothing need be done about a few; many point to a damaged file or a faulty recorder.",
+            details={"frames": info.stray_frames},
+        )
+    share = info.unused_frames / (info.frames + info.unused_frames)
+    if share > _UNUSED_SHARE:
+        yield Caution(
+            code="frames_unused",
+            message=f"{info.unused_frames} frames, {share:.0%} of the recording, have no time stamp of their own and "
+            "are left out",
+            hint="Copy the file from the camera again, or export it anew with its time stamps.",
+            details={"frames": info.unused_frames, "share": share},
+        )
+    if info.video_tracks > 1:
+        yield Caution(
+            code="several_video_tracks",
+            message=f"the file has {info.video_tracks} video tracks; the one that a player shows "
+            f"({info.width_px}x{info.height_px} px) is used",
+            hint="Export the other track to a file of its own if that is the recording.",
+            details={"tracks": info.video_tracks},
+        )
+
+
+def _of_time(info: VideoInfo) -> Iterator[Caution]:
+    if info.largest_gap_s > _LONGEST_GAP_S:
+        yield Caution(
+            code="recording_gap",
+            message=f"there is no frame for {info.largest_gap_s:.1f} s",
+            hint="Nothing is seen by this camera meanwhile; look whether the recording was joined from parts.",
+            details={"gap_s": info.largest_gap_s},
+        )
+    unknown = [segment for segment in info.segments if segment.placed_by == "assumed"]
+    if unknown:
+        yield Caution(
+            code="gap_unknown",
+            message=f"its clock starts anew {_at(unknown)}; how long the camera was off there is unknown, and no time "
+            "was assumed to have passed",
+            hint="Check the synchronisation after that moment, or upload the parts as files with their times.",
+            details={"at_s": [segment.first_ns / 1e9 for segment in unknown]},
+        )
+    rough = [segment for segment in info.segments if segment.placed_by in ("creation_time", "name")]
+    if rough:
+        yield Caution(
+            code="gap_rough",
+            message=f"where {_files(rough)} begins is known by the file's date or name alone, to a second or so",
+            hint="Check the synchronisation after that moment.",
+            details={"at_s": [segment.first_ns / 1e9 for segment in rough]},
+        )
+    if not info.has_clock:
+        yield Caution(
+            code="no_clock",
+            message=f"the file holds no times; {info.fps:.2f} frames a second were assumed",
+            hint="Put it into an MP4 file with the camera's true rate.",
+            details={"fps": info.fps},
+        )
+
+
+def _of_pictures(info: VideoInfo) -> Iterator[Caution]:
+    if info.size_changes:
+        change = info.size_changes[0]
+        more = f", and {len(info.size_changes) - 1} times more" if len(info.size_changes) > 1 else ""
+        yield Caution(
+            code="size_changes",
+            message=f"the picture's size changes to {change.width_px}x{change.height_px} px at "
+            f"{change.time_ns / 1e9:.1f} s{more}; all pictures are brought to {info.width_px}x{info.height_px} px",
+            hint="Check that the picture shows the same section before and after, and that the camera did not zoom.",
+            details={"at_s": [each.time_ns / 1e9 for each in info.size_changes]},
+        )
+    stretched = info.stored_px is not None
+    if abs(info.pixel_aspect - 1) > 0.01 and not (stretched and not info.size_changes):
+        yield Caution(
+            code="pixels_not_square",
+            message=f"its pixels are {info.pixel_aspect:.3f} times as wide as high, and the picture is used as stored, "
+            f"{info.width_px}x{info.height_px} px",
+            hint="A calibration from a player's picture does not fit it; one that assumes square pixels "
+            "(homography) does not fit at all. Give the size of the picture that was calibrated.",
+            details={"pixel_aspect": info.pixel_aspect},
+        )
+    if info.interlaced:
+        yield Caution(
+            code="interlaced",
+            message="its pictures are interlaced: lines of two moments were joined into one picture",
+            hint="Let the camera record progressive pictures; what moves fast is placed less exactly.",
+        )
+    if info.high_range:
+        yield Caution(
+            code="high_dynamic_range",
+            message="its brightness is coded for high dynamic range, and looks dull to the detectors",
+            hint="Let the camera record with standard dynamic range.",
+        )
+
+
+def _at(segments: list[Segment]) -> str:
+    shown = ", ".join(f"{segment.first_ns / 1e9:.1f}" for segment in segments[:_NAMED])
+    return f"at {shown} s" + (f" and {len(segments) - _NAMED} times more" if len(segments) > _NAMED else "")
+
+
+def _files(segments: list[Segment]) -> str:
+    shown = ", ".join(segment.file for segment in segments[:_NAMED])
+    return shown + (f" and {len(segments) - _NAMED} more" if len(segments) > _NAMED else "")

@@ -1,0 +1,199 @@
+"""From the stamps of a file's packets to segments on one ascending clock. Pure functions of arrays."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+IntArray = NDArray[np.int64]
+BoolArray = NDArray[np.bool_]
+
+_S = 1_000_000_000
+#: Decoding order and presentation order differ by at most so many frames: the largest buffer of H.264 and H.265.
+REORDER_FRAMES = 17
+#: A step forward of more is no time without frames but a clock that was set, e.g. by a time server.
+LONGEST_PAUSE_NS = 3600 * _S
+#: After a time without frames of at least this a new segment begins.
+SEGMENT_PAUSE_NS = 10 * _S
+#: Frames on another clock for less than this are stray stamps, not a segment.
+_STRAY_NS = _S // 2
+#: A step that is a multiple of the counter's period but for this is the counter's wrapping.
+_WRAP_TOLERANCE_NS = 60 * _S
+_BLOCK = 64
+
+
+@dataclass(frozen=True, eq=False)
+class Stretch:
+    """Frames of one clock without a jump.
+
+    Attributes:
+        indices: (M,) which stamps, ascending.
+        jump_before: its clock has nothing to do with that of the stretch before; False of the first one.
+    """
+
+    indices: IntArray
+    jump_before: bool
+
+
+@dataclass(frozen=True, eq=False)
+class Sorted:
+    """Stamps in segments.
+
+    Attributes:
+        times_ns: (N,) times on one clock, on which all kept stamps differ and segments follow one another.
+        kept: (N,) whether the frame is used; the others have stray stamps, or one that another frame has.
+        segments: the stretches, without what is not kept.
+        usual_ns: the usual interval between frames.
+        stray: how many stamps were stray.
+    """
+
+    times_ns: IntArray
+    kept: BoolArray
+    segments: tuple[Stretch, ...]
+    usual_ns: int
+    stray: int
+
+
+def usual_interval_ns(times_ns: IntArray) -> int:
+    """Median interval of times (N,) that are nearly in order; N ≥ 2 of them must differ."""
+    padded = len(times_ns) // _BLOCK * _BLOCK
+    blocks = [times_ns[:padded].reshape(-1, _BLOCK), times_ns[padded:].reshape(1, -1)]
+    intervals = np.concatenate([np.diff(np.sort(block, axis=1)).ravel() for block in blocks])
+    positive = intervals[intervals > 0]
+    return int(np.median(positive)) if len(positive) else _S
+
+
+def unwrapped_ns(times_ns: IntArray, period_ns: float) -> IntArray:
+    """Times (N,) of a counter that starts again at 0 after ``period_ns``, as if it had gone on."""
+    steps = np.diff(times_ns)
+    turns = np.rint(steps / period_ns).astype(np.int64)
+    turns[np.abs(steps - turns * period_ns) > _WRAP_TOLERANCE_NS] = 0
+    gone_ns = np.rint(np.cumsum(turns) * period_ns).astype(np.int64)
+    return times_ns - np.concatenate([np.zeros(1, dtype=np.int64), gone_ns])
+
+
+def sort_stamps(times_ns: IntArray) -> Sorted:
+    """Find the segments of a file, and bring them onto one clock, the first one's.
+
+    A lasting jump backwards, or forwards by more than an hour, is a clock that was set: how long the camera was off is
+    unknown, and its frames are put right behind those before. A shorter jump forwards is a time without frames. A few
+    frames on another clock have stray stamps.
+
+    Args:
+        times_ns: (N,) stamps in decoding order, N ≥ 2.
+    """
+    usual_ns = usual_interval_ns(times_ns)
+    reordered = float((np.diff(times_ns) < 0).mean()) > 0.02
+    back_ns = (REORDER_FRAMES if reordered else 1.5) * usual_ns
+    forward_ns = (1.5 * REORDER_FRAMES if reordered else 3) * usual_ns
+    steps = _Steps(usual_ns, back_ns, forward_ns)
+    stretches, stray = _without_stray(times_ns, _runs(times_ns, steps), steps)
+    times, kept = times_ns.copy(), np.zeros(len(times_ns), dtype=bool)
+    segments: list[Stretch] = []
+    last_ns = shift_ns = 0
+    for stretch in stretches:
+        of_it = times_ns[stretch.indices]
+        if stretch.jump_before:
+            shift_ns = last_ns + usual_ns - int(of_it.min())
+        times[stretch.indices] = of_it + shift_ns
+        used = stretch.indices[_distinct(of_it, reordered)]
+        kept[used] = True
+        segments.append(Stretch(used, stretch.jump_before))
+        last_ns = int(of_it.max()) + shift_ns
+    return Sorted(times, kept, tuple(segments), usual_ns, stray)
+
+
+@dataclass(frozen=True)
+class _Steps:
+    """The usual interval, and how far stamps may go back and forward between two frames without a jump, ns."""
+
+    usual_ns: int
+    back_ns: float
+    forward_ns: float
+
+    @property
+    def few(self) -> int:
+        """Frames on another clock that are stray if no more follow."""
+        return max(1, _STRAY_NS // self.usual_ns)
+
+
+def _runs(times_ns: IntArray, steps: _Steps) -> list[IntArray]:
+    """Indices of stamps between which there is no step too far back or forward."""
+    starts, latest = [0], int(times_ns[0])
+    for index, time in enumerate(times_ns.tolist()):
+        if time < latest - steps.back_ns or time > latest + steps.forward_ns:
+            starts.append(index)
+            latest = time
+        elif time > latest:
+            latest = time
+    return [np.arange(a, b) for a, b in zip(starts, [*starts[1:], len(times_ns)], strict=True)]
+
+
+def _without_stray(times_ns: IntArray, runs: Sequence[IntArray], steps: _Steps) -> tuple[list[Stretch], int]:
+    """Runs joined where one goes on with another's clock, without the few frames between that do not."""
+    joined: list[tuple[list[IntArray], bool]] = []
+    stray = at = frames = last_ns = 0
+    while at < len(runs):
+        run = runs[at]
+        first_ns = int(times_ns[run].min())
+        ends, short = at + 1 == len(runs), len(run) <= steps.few
+        if not joined:
+            if short and not ends and len(runs[at + 1]) > steps.few and _is_set(times_ns, run, runs[at + 1]):
+                stray += len(run)
+                at += 1
+                continue
+            joined.append(([run], False))
+            frames = 0
+        elif (back := _returns(times_ns, last_ns, runs[at : at + 4], steps)) is not None:
+            stray += sum(len(passed) for passed in runs[at : at + back])
+            at += back
+            run = runs[at]
+            joined[-1][0].append(run)
+        elif 0 < first_ns - last_ns < SEGMENT_PAUSE_NS:
+            joined[-1][0].append(run)
+        else:
+            jumped = not 0 < first_ns - last_ns <= LONGEST_PAUSE_NS
+            if jumped and short and ends and frames > steps.few:
+                stray += len(run)
+                break
+            joined.append(([run], jumped))
+            frames = 0
+        frames += len(run)
+        last_ns = int(times_ns[run].max())
+        at += 1
+    return [Stretch(np.concatenate(parts), jumped) for parts, jumped in joined], stray
+
+
+def _is_set(times_ns: IntArray, before: IntArray, after: IntArray) -> bool:
+    """Whether the clock was set between two runs."""
+    step = int(times_ns[after].min()) - int(times_ns[before].max())
+    return step <= 0 or step > LONGEST_PAUSE_NS
+
+
+def _returns(times_ns: IntArray, last_ns: int, runs: Sequence[IntArray], steps: _Steps) -> int | None:
+    """How many of the runs, each of a few frames, are stray: the one behind them goes on after ``last_ns``."""
+    passed = 0
+    for number, run in enumerate(runs):
+        first = int(times_ns[run].min())
+        goes_on = -steps.back_ns < first - last_ns <= steps.forward_ns + 1.5 * passed * steps.usual_ns
+        astray = any(times_ns[other].max() >= first or times_ns[other].min() <= last_ns for other in runs[:number])
+        if number and goes_on and astray:
+            return number
+        if len(run) > steps.few:
+            return None
+        passed += len(run)
+    return None
+
+
+def _distinct(times_ns: IntArray, reordered: bool) -> BoolArray:
+    """Of times in decoding order those that can be told apart: the first of equal ones, and no step back where
+    frames are not reordered."""
+    if reordered:
+        first = np.zeros(len(times_ns), dtype=bool)
+        first[np.unique(times_ns, return_index=True)[1]] = True
+        return first
+    latest = np.maximum.accumulate(times_ns)
+    return np.concatenate([[True], times_ns[1:] > latest[:-1]])
