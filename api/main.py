@@ -16,7 +16,7 @@ from starlette.responses import HTMLResponse
 from api.docs_page import DOCS_PAGE
 from api.housekeeping import Housekeeper
 from api.problems import Problem, add_handlers
-from api.routes import exports, jobs, looks, results, reviews, scene, sites, system, uploads
+from api.routes import exports, jobs, labels, looks, results, reviews, scene, sites, system, uploads
 from api.security import Gate
 from api.services import Services
 from api.sessions import SESSION_COOKIE
@@ -81,6 +81,7 @@ def create_app(settings: ServiceSettings) -> FastAPI:
         results.router,
         scene.router,
         reviews.router,
+        labels.router,
         exports.router,
         results.public_router,
         system.options_router,

@@ -29,6 +29,7 @@ STATUS: Mapping[str, int] = {
     "upload_stalled": 408,
     "conflict": 409,
     "upload_expired": 410,
+    "changed_meanwhile": 412,
     "tus_version": 412,
     "quota_exceeded": 413,
     "too_large": 413,

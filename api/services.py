@@ -12,6 +12,7 @@ from wibam_core.adapters.database import Database
 from wibam_core.adapters.files import DataFolder
 from wibam_core.adapters.glimpses import Glimpses
 from wibam_core.adapters.job_store import JobStore
+from wibam_core.adapters.label_store import LabelStore
 from wibam_core.adapters.lease_store import LeaseStore
 from wibam_core.adapters.queue import JobQueue, make_celery
 from wibam_core.adapters.results import JobResults
@@ -35,6 +36,7 @@ class Services:
     leases: LeaseStore
     queue: JobQueue
     results: JobResults
+    labels: LabelStore
     stages: StageStore
     reviews: ReviewStore
     passes: Passes
@@ -58,6 +60,7 @@ class Services:
             leases=LeaseStore(database, settings.leases),
             queue=JobQueue(make_celery(settings.broker_url)),
             results=JobResults(folder.stages),
+            labels=LabelStore(database),
             stages=StageStore(folder.stages),
             reviews=ReviewStore(database),
             passes=Passes(settings.token_sha256),

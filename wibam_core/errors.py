@@ -172,6 +172,13 @@ class Conflict(WibamError):
     code = "conflict"
 
 
+class ChangedMeanwhile(Conflict):
+    """What is to be replaced is no longer what the request was made of."""
+
+    code = "changed_meanwhile"
+    default_hint = "Read it again, put your changes into what is there now, and send that."
+
+
 class Unauthorised(WibamError):
     code = "unauthorised"
     default_hint = "Send the API token as 'Authorization: Bearer TOKEN'; `wibam serve` prints it."

@@ -87,7 +87,7 @@ class ExportSource:
             boxes_3d=read(Part.BOXES_3D, _BOXES[boxes]),
             tracks=read(Part.TRACKS, catalogue.TRACKS),
             labels=read_labels(self.labels) if self.labels is not None and Part.LABELS in wanted else None,
-            jpeg=None if frames is None else _jpeg(frames),
+            jpeg=None if frames is None else native_jpeg(frames),
             splits={} if split is None else split.times_ns,
             files={
                 artifact.id: self.artifacts.local(artifact)
@@ -182,7 +182,7 @@ def _archive(folder: Path, paths: Iterable[Path]) -> Generator[bytes]:
     yield outlet.take()
 
 
-def _jpeg(frames: FrameStore) -> Callable[[str, int], bytes]:
+def native_jpeg(frames: FrameStore) -> Callable[[str, int], bytes]:
     """Frames by camera and their own time, in the size of the recording."""
     instants = {
         (camera_id, frame_time_ns): frame_set.time_ns

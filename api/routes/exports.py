@@ -26,7 +26,7 @@ _FILE: dict[int | str, dict[str, Any]] = {
 }
 
 
-class _ExportResponse(StreamingResponse):
+class ExportResponse(StreamingResponse):
     """Sends an export block by block, and closes it however the sending ends."""
 
     def __init__(self, job_id: str, opened: Export) -> None:
@@ -79,7 +79,7 @@ def export(
     """One file, or a zip archive where the format has several. `GET /v1/jobs/{job_id}/exports` lists the formats."""
     from wibam_core.exports import open_export
 
-    return _ExportResponse(job_id, open_export(format, _source(services, job_id), boxes))
+    return ExportResponse(job_id, open_export(format, _source(services, job_id), boxes))
 
 
 def _source(services: Services, job_id: str) -> ExportSource:

@@ -6,7 +6,7 @@ import time
 from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from typing import Any
 
-from sqlalchemy import func, or_, select
+from sqlalchemy import delete, func, or_, select
 from sqlalchemy.orm import Session
 
 from wibam_core.adapters import records
@@ -160,10 +160,16 @@ class JobStore:
             return job_record(session, row)
 
     def restart(
-        self, job_id: str, options: Mapping[str, Any], plan: Sequence[PlannedStage], from_stage: str | None = None
+        self,
+        job_id: str,
+        options: Mapping[str, Any],
+        plan: Sequence[PlannedStage],
+        from_stage: str | None = None,
+        files: Sequence[StoredFile] | None = None,
     ) -> tuple[Job, list[StageKey]]:
         """Let a job run again: the stages without outputs, those whose address changed, and, where ``from_stage`` is
-        given, that stage and all that follow from it. Where there are none, the job succeeds at once.
+        given, that stage and all that follow from it. Where there are none, the job succeeds at once. With ``files``,
+        it works on these from now on.
 
         Raises:
             NotFound: there is no such job.
@@ -196,6 +202,10 @@ class JobStore:
                 session.delete(left_over)
             session.flush()
             session.add_all(fresh)
+            if files is not None:
+                _check_files_exist(session, files)
+                session.execute(delete(JobFileRow).where(JobFileRow.job_id == job_id))
+                session.add_all(JobFileRow(job_id=job_id, file_id=file.id) for file in files)
             check_job_move(JobState(row.state), JobState.QUEUED)
             row.state, row.options, row.error = JobState.QUEUED.value, dict(options), None
             row.started_at = row.finished_at = None

@@ -168,6 +168,24 @@ class ConflictReviewRow(Base):
     reviewed_at: Mapped[float]
 
 
+class LabelVersionRow(Base):
+    """Hand labels of one instant as somebody saved them. They belong to the site and its footage, not to a job.
+
+    ``footage`` is the SHA-256 of the reference camera's recording, on whose clock the times are.
+    """
+
+    __tablename__ = "label_versions"
+
+    site_id: Mapped[str] = mapped_column(ForeignKey("sites.id", ondelete="CASCADE"), primary_key=True)
+    footage: Mapped[str] = mapped_column(String(64), primary_key=True)
+    label_set: Mapped[str] = mapped_column(String(64), primary_key=True)
+    time_ns: Mapped[int] = mapped_column(BigInteger, primary_key=True)
+    version: Mapped[int] = mapped_column(primary_key=True)
+    document: Mapped[str] = mapped_column(Text)
+    author: Mapped[str] = mapped_column(String(100))
+    saved_at: Mapped[float]
+
+
 class EventRow(Base):
     __tablename__ = "events"
 

@@ -1,0 +1,54 @@
+"""A finished job with frames in which painted vehicles can be labelled, and fits that are a little wrong."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+
+from tests.builders import site_of
+from tests.finished import publish
+from tests.service import LiveApi
+from tests.site_dataset import PERIOD_NS, TinySite, tiny_rig, tiny_site
+from wibam_core.artifacts import catalogue
+from wibam_core.artifacts.access import ArtifactWriter
+from wibam_core.artifacts.catalogue import made_by
+from wibam_core.documents.split import Split
+from wibam_core.scene import Vehicles3D
+
+TIMES_NS = tuple(index * PERIOD_NS for index in range(4))
+#: What a fit is off: m along X and Y, m of length, rad of yaw.
+FIT_ERROR = np.array([0.5, -0.4, 0.0, 0.4, 0.0, 0.0, 0.15])
+
+
+def labelled_job(api: LiveApi, recording: bytes = b"north") -> str:
+    """Create the job; returns its id. Its vehicles 7 and 8 are those of `tests.site_dataset.boxes_at`."""
+    response = api.http.post("/v1/sites", json=site_of(tiny_rig()).model_dump(mode="json"))
+    site = str(response.json()["id"])
+    for camera_id in tiny_rig():
+        api.upload(site, recording + camera_id.encode(), camera_id)
+    job_id = str(api.http.post(f"/v1/sites/{site}/jobs", json={}).json()["id"])
+    publish(api, job_id, _write)
+    return job_id
+
+
+def _write(stage: str, folder: Path) -> None:
+    writer = ArtifactWriter(stage, folder, made_by(stage))
+    if stage == "calibrate":
+        writer.write(catalogue.RIG, tiny_rig())
+    if stage == "frames":
+        tiny_site(writer.new_file(catalogue.FRAMES))
+    if stage == "associate":
+        writer.write(catalogue.ANNOTATIONS, _site(folder).instants)
+    if stage == "dataset":
+        subsets = {"train": (), "val": (), "test": TIMES_NS}
+        nobody = dict.fromkeys(subsets, frozenset[int]())
+        writer.write(catalogue.SPLIT, Split(times_ns=subsets, left_out_tracks=nobody))
+    if stage == "lift":
+        fits = [Vehicles3D.of(f.time_ns, f.boxes + FIT_ERROR, f.classes, f.ids) for f in _site(folder).lifts]
+        writer.write(catalogue.FITS, fits)
+
+
+def _site(folder: Path) -> TinySite:
+    """What the frames show; they are written beside the stage's output."""
+    return tiny_site(folder.with_name(folder.name + "-frames"))

@@ -1,0 +1,98 @@
+"""Hand labels as people make them, instant by instant, and how far two people agree."""
+
+from __future__ import annotations
+
+from typing import Annotated
+
+from pydantic import AfterValidator, ConfigDict, Field
+
+from wibam_core.documents.base import Document, MeanSd
+from wibam_core.road_users import RoadUserClass
+from wibam_core.site import CameraId
+
+Metres = Annotated[float, Field(ge=-1e5, le=1e5)]
+Size = Annotated[float, Field(ge=0.05, le=60)]
+Speed = Annotated[float, Field(ge=-200, le=200)]
+Share = Annotated[float, Field(ge=0, le=1)]
+Seconds = Annotated[float, Field(ge=0, le=1e7)]
+
+
+class HandVehicle(Document):
+    """A road user that somebody labelled."""
+
+    model_config = ConfigDict(extra="forbid", serialize_by_alias=True)
+
+    id: int = Field(ge=0, le=2**53 - 1)
+    """The same for one vehicle at all instants."""
+    vehicle_class: RoadUserClass = Field(alias="class")
+    box: tuple[Metres, Metres, Metres, Size, Size, Size, Annotated[float, Field(ge=-10, le=10)]]
+    """Centre x, y, z, length, width, height in m and yaw in rad, in the world, at the time of the instant."""
+    velocity_mps: tuple[Speed, Speed] = (0.0, 0.0)
+    """Along world X and Y. Cameras expose frames a little before or after the instant, and see it moved by that."""
+    visibility: dict[CameraId, Share] = Field(default={})
+    """Camera -> share of the vehicle that it sees, where somebody corrected what is estimated."""
+    ignored: bool = False
+    """Nobody is asked for it and nobody is wrong who finds it: it is hidden, or cannot be told."""
+    seconds: Seconds = 0.0
+    """How long somebody worked on it."""
+
+
+def _no_vehicle_twice(vehicles: tuple[HandVehicle, ...]) -> tuple[HandVehicle, ...]:
+    ids = [vehicle.id for vehicle in vehicles]
+    if len(set(ids)) < len(ids):
+        raise ValueError(f"vehicle {next(i for i in ids if ids.count(i) > 1)} is labelled twice")
+    return vehicles
+
+
+#: All vehicles of an instant.
+HandVehicles = Annotated[tuple[HandVehicle, ...], Field(max_length=500), AfterValidator(_no_vehicle_twice)]
+
+
+class HandLabels(Document):
+    """All that is labelled at one instant."""
+
+    model_config = ConfigDict(extra="forbid", serialize_by_alias=True)
+
+    time_ns: int = Field(ge=-(2**62), le=2**62)
+    """The instant, on the reference clock."""
+    vehicles: HandVehicles = ()
+    finished: bool = False
+    """Every road user is labelled that a camera sees. Only finished instants are exported and evaluate anything."""
+    seconds: Seconds = 0.0
+    """How long somebody worked on the instant."""
+
+
+class Suggestion(Document):
+    """An instant that is worth labelling."""
+
+    time_ns: int
+    """Reference clock."""
+    vehicles: int
+    """How many road users were fitted there."""
+    disagreement: float | None
+    """1 − the mean overlap of the fits' reprojections with what the detector saw; null where nothing was seen."""
+
+
+class Agreement(Document):
+    """How far two sets of hand labels agree, over the instants that both have finished."""
+
+    instants: int
+    """Finished in both."""
+    pairs: int
+    """Vehicles that both labelled, none of them ignored."""
+    only_first: int
+    """Vehicles that the first labelled and the second did not; ignored ones do not count."""
+    only_second: int
+    bev_iou: MeanSd
+    """Overlap of the ground rectangles."""
+    iou_3d: MeanSd
+    ate_m: MeanSd
+    """Distance of the centres."""
+    ase: MeanSd
+    """1 − overlap of the ground rectangles once they lie on each other."""
+    aoe_deg: MeanSd
+    """Difference of the headings."""
+    visibility: MeanSd
+    """Difference of the shares that a camera sees, over pairs and cameras that see one of the two."""
+    same_class: float | None
+    """Share of the pairs."""

@@ -1,0 +1,101 @@
+"""From what people labelled to what evaluates and is exported."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Mapping, Sequence
+
+import numpy as np
+
+from wibam_core.documents.hand_labels import HandLabels
+from wibam_core.exchange.base import Content
+from wibam_core.geometry.projection import project_boxes
+from wibam_core.labelling.seen import seen_by_hand, seen_shares
+from wibam_core.road_users import CLASSES
+from wibam_core.scene import (
+    AnnotatedInstant,
+    CameraRig,
+    Detections2D,
+    FloatArray,
+    FrameSet,
+    LabelledInstant,
+    MultiViewVehicle,
+    Vehicles3D,
+)
+from wibam_core.site import Site
+
+
+def boxes_of(labels: HandLabels) -> FloatArray:
+    """(N, 7) the boxes of an instant's vehicles."""
+    return np.array([vehicle.box for vehicle in labels.vehicles], np.float64).reshape(-1, 7)
+
+
+def visibility_of(labels: HandLabels, rig: CameraRig) -> dict[str, FloatArray]:
+    """Camera id -> (N,) share that it sees of each vehicle: as given by hand, else as estimated."""
+    return seen_by_hand(seen_shares(boxes_of(labels), rig), [vehicle.visibility for vehicle in labels.vehicles])
+
+
+def labelled_instant(labels: HandLabels, rig: CameraRig) -> LabelledInstant:
+    """An instant as evaluations take it: ignored vehicles are seen by no camera, so that nobody is asked for them."""
+    asked_for = np.array([not vehicle.ignored for vehicle in labels.vehicles], bool)
+    classes = np.array([CLASSES.index(vehicle.vehicle_class) for vehicle in labels.vehicles], np.int64)
+    ids = np.array([vehicle.id for vehicle in labels.vehicles], np.int64)
+    return LabelledInstant(
+        Vehicles3D.of(labels.time_ns, boxes_of(labels), classes, ids),
+        {camera_id: shares * asked_for for camera_id, shares in visibility_of(labels, rig).items()},
+    )
+
+
+def labelled_instants(labels: Iterable[HandLabels], rig: CameraRig) -> list[LabelledInstant]:
+    """The finished ones, in order of time."""
+    finished = sorted((one for one in labels if one.finished), key=lambda one: one.time_ns)
+    return [labelled_instant(one, rig) for one in finished]
+
+
+def content_of(
+    site: Site,
+    rig: CameraRig,
+    labels: Sequence[LabelledInstant],
+    frames: Mapping[int, FrameSet],
+    jpeg: Callable[[str, int], bytes] | None = None,
+) -> Content:
+    """Labels as exchange formats take them; their 2D boxes are those of the labels, reprojected.
+
+    Args:
+        site: whose.
+        rig: its cameras.
+        labels: in order of time.
+        frames: by instant.
+        jpeg: frames as files, see `Content`.
+    """
+    instants = [_reprojected(one, frames[one.vehicles.time_ns], rig) for one in labels]
+    return Content(site=site, rig=rig, instants=instants, labels=labels, jpeg=jpeg)
+
+
+def _reprojected(labels: LabelledInstant, frames: FrameSet, rig: CameraRig) -> AnnotatedInstant:
+    vehicles = labels.vehicles
+    views: list[dict[str, int]] = [{} for _ in range(len(vehicles))]
+    detections = {}
+    for camera_id, frame_time_ns in frames.frame_times_ns.items():
+        boxes = project_boxes(rig[camera_id], vehicles.boxes)
+        rows = np.flatnonzero(np.isfinite(boxes).all(axis=1) & (labels.visibility[camera_id] > 0))
+        detections[camera_id] = Detections2D(
+            camera_id, frame_time_ns, boxes[rows], np.ones(len(rows)), vehicles.classes[rows]
+        )
+        for number, row in enumerate(rows.tolist()):
+            views[row][camera_id] = number
+    return AnnotatedInstant(
+        vehicles.time_ns,
+        detections,
+        tuple(
+            MultiViewVehicle(
+                row,
+                int(vehicles.ids[row]),
+                CLASSES[int(vehicles.classes[row])],
+                float(vehicles.boxes[row, 0]),
+                float(vehicles.boxes[row, 1]),
+                seen,
+            )
+            for row, seen in enumerate(views)
+            if seen
+        ),
+    )
