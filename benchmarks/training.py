@@ -22,7 +22,7 @@ import sys
 import tempfile
 import time
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import fields, replace
+from dataclasses import fields
 from pathlib import Path
 from typing import Any
 
@@ -48,10 +48,10 @@ from wibam_core.synthetic.lighting import develop, sample_lighting, sample_photo
 from wibam_core.synthetic.render import Drawing, Renderer
 from wibam_core.synthetic.signals import SignalProgram
 from wibam_core.synthetic.traffic import Trajectory, simulate_traffic
-from wibam_core.training.augment import jitter_colour, mirror, shake
+from wibam_core.training.batches import Batches
 from wibam_core.training.dataset import ImageCache, site_views
 from wibam_core.training.device import Precision
-from wibam_core.training.finetune import SHAKEN_SHARE, SiteDataset, finetune
+from wibam_core.training.finetune import SiteDataset, finetune
 from wibam_core.training.multiview import NEAR_M, OtherCameras, OtherViews, multiview_loss
 from wibam_core.training.trainable import TrainableNetwork
 
@@ -234,27 +234,20 @@ class BatchMaker:
     """Draws, augments and encodes batches as fine-tuning does."""
 
     def __init__(self, dataset: SiteDataset, scratch: Path) -> None:
-        self._dataset = dataset
-        self._cache = ImageCache(scratch / "batches.npy", dataset.train, dataset.frames)
+        cache = ImageCache(scratch / "batches.npy", dataset.train, dataset.frames)
+        self._batches = Batches(dataset.train, cache.view, FinetuneConfig())
         self._others = OtherCameras(dataset.rig)
-        self._rng = np.random.default_rng(0)
+        self._step = 0
         for number in range(len(dataset.train)):
-            self._cache.view(number)
+            cache.view(number)
 
     def make(self) -> Tensor:
         """The images of a batch (8, 3, H, W)."""
-        rng = self._rng
-        numbers = rng.integers(0, len(self._dataset.train), FinetuneConfig().batch_size).tolist()
-        mirrored = (rng.random(len(numbers)) < 0.5).tolist()
-        views = []
-        for number, turned in zip(numbers, mirrored, strict=True):
-            view = self._cache.view(number)
-            view = shake(view, rng) if rng.random() < SHAKEN_SHARE else view
-            view = mirror(view) if turned else view
-            views.append(replace(view, image=jitter_colour(view.image, rng)))
-        encode(views)
-        self._others.of([self._dataset.train[number] for number in numbers], mirrored)
-        return to_input(np.stack([view.image for view in views]))
+        batch = self._batches.to_learn(self._step)
+        self._step += 1
+        encode(batch.views)
+        self._others.of(batch.sources, batch.mirrored)
+        return to_input(np.stack([view.image for view in batch.views]))
 
 
 def benchmark_step(rounds: int) -> None:

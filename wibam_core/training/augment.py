@@ -101,14 +101,10 @@ def rewarp(view: LabelledView, camera: Camera, fill: tuple[int, int, int]) -> La
     ignored = _warp_boxes(H, view.ignored)
     ignored = clipped_to_image(ignored[~np.isnan(ignored[:, 0])], camera.width_px, camera.height_px)
     return replace(
-        view,
+        view.where(np.flatnonzero(kept)),
         image=np.asarray(image, dtype=np.uint8),
         camera=camera,
         boxes2d=inside[kept],
-        classes=view.classes[kept],
-        boxes3d=view.boxes3d[kept],
-        confidence=view.confidence[kept],
-        front_known=view.front_known[kept],
         ignored=np.concatenate([ignored, inside[cut]]),
     )
 

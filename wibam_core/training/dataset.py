@@ -54,6 +54,20 @@ class SiteView:
         nothing = np.zeros(0, np.int64)
         return SiteView(self.camera_id, self.time_ns, pseudo_labels, nothing, nothing, np.zeros((0, 4)))
 
+    def where(self, rows: NDArray[np.int64]) -> SiteView:
+        """The view with these (K,) of its vehicles alone, which are numbered anew."""
+        number = np.full(len(self.pseudo_labels.classes), -1)
+        number[rows] = np.arange(len(rows))
+        vehicle = number[self.other_vehicle]
+        kept = vehicle >= 0
+        return replace(
+            self,
+            pseudo_labels=self.pseudo_labels.where(rows),
+            other_vehicle=vehicle[kept],
+            other_camera=self.other_camera[kept],
+            other_boxes=self.other_boxes[kept],
+        )
+
 
 def site_views(
     instants: Sequence[AnnotatedInstant],
@@ -91,12 +105,15 @@ def site_views(
         for camera_id in rig:
             if camera_id in boxes and frames.has(camera_id, instant.time_ns):
                 seen = instant.detections[camera_id]
+                known = _pseudo_labels3d(seen, instant.vehicles, fits, instant.time_ns)
                 pseudo_labels = LabelledView(
                     image=_NO_IMAGE,
                     camera=prepared[camera_id],
                     boxes2d=boxes[camera_id],
                     classes=seen.classes,
-                    **_pseudo_labels3d(seen, instant.vehicles, fits, instant.time_ns),
+                    boxes3d=known["boxes3d"],
+                    confidence=known["confidence"],
+                    front_known=known["front_known"],
                     ignored=ignored[camera_id],
                     not_looked_for=not_looked_for,
                 )

@@ -10,7 +10,6 @@ from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any, Literal
 
-import numpy as np
 import torch
 from torch import Tensor, nn
 
@@ -21,7 +20,7 @@ from wibam_core.formats.framestore import FrameStore
 from wibam_core.geometry.camera import Camera
 from wibam_core.progress import Progress, silent
 from wibam_core.scene import CameraRig
-from wibam_core.training.augment import jitter_colour, mirror, shake
+from wibam_core.training.batches import Batch, Batches
 from wibam_core.training.checkpoint import read_checkpoint, write_checkpoint
 from wibam_core.training.dataset import SiteView, input_width_of
 from wibam_core.training.device import Precision, choose_device
@@ -29,13 +28,8 @@ from wibam_core.training.distributed import Ranks, helpers, usable_devices
 from wibam_core.training.multiview import OtherCameras
 from wibam_core.training.schedule import CosineSchedule, LearningRateSchedule, PlateauSchedule
 from wibam_core.training.trainable import TrainableNetwork
-from wibam_core.training.views import LabelledView
 
 _GRADIENT_CLIP = 5.0
-
-#: This share of the views is turned and zoomed a little; the others are seen as the camera hangs, as they will be after
-#: training.
-SHAKEN_SHARE = 0.3
 _WEIGHT_DECAY = 1e-3
 
 #: Validation looks at this many views at most, evenly spread.
@@ -202,11 +196,13 @@ class _Training:
         self._validation = dataset.validation[::stride] if ranks.is_first else []
         own = scratch if ranks.is_first else scratch / f"helper{ranks.rank}"
         own.mkdir(exist_ok=True)
-        self._train_view = self._network.reader(own / "train.npy", self._train, dataset.frames)
-        self._validation_view = self._network.reader(own / "validation.npy", self._validation, dataset.frames)
+        self._batches = Batches(self._train, network.reader(own / "train.npy", self._train, dataset.frames), config)
+        self._validation_batches = Batches(
+            self._validation, network.reader(own / "validation.npy", self._validation, dataset.frames), config
+        )
         self._others = OtherCameras(dataset.rig, config.own_view, dataset.input_width_px)
         self._schedule = _schedule(config, network)
-        self._optimizer = torch.optim.AdamW(self._module.parameters(), lr=1.0, weight_decay=_WEIGHT_DECAY)
+        self._optimizer = torch.optim.AdamW(self._module.parameters(), lr=1.0, weight_decay=_WEIGHT_DECAY, fused=True)
         self._scaler = self._precision.scaler()
         self._epochs: list[Epoch] = []
         self._best_step = 0
@@ -249,22 +245,10 @@ class _Training:
         self._write_checkpoint()
 
     def _train_step(self) -> dict[str, float]:
-        numbers, rng = self._draw()
-        views: list[LabelledView] = []
-        sources: list[SiteView] = []
-        mirrored: list[bool] = []
-        for number in numbers:
-            view, source = self._train_view(number), self._train[number]
-            mirrored.append(bool(rng.random() < 0.5))
-            if self._config.method != "paper" and rng.random() < SHAKEN_SHARE:
-                view = shake(view, rng)
-                source = source.alone(view)
-            view = mirror(view) if mirrored[-1] else view
-            views.append(replace(view, image=jitter_colour(view.image, rng)))
-            sources.append(source)
-        parts = self._losses(views, sources, mirrored, self._ranks.share(len(views)))
+        batch = self._batches.to_learn(self.step)
+        parts = self._losses(batch, self._ranks.share(len(batch.views)))
         if not math.isfinite(float(parts["total"].detach())):
-            raise self._not_finite([self._train[number] for number in numbers])
+            raise self._not_finite(batch.sources)
         self._update(parts["total"])
         return {name: float(part.detach()) for name, part in parts.items()}
 
@@ -279,26 +263,12 @@ class _Training:
         self._scaler.step(self._optimizer)
         self._scaler.update()
 
-    def _losses(
-        self, views: Sequence[LabelledView], sources: Sequence[SiteView], mirrored: Sequence[bool], share: slice
-    ) -> dict[str, Tensor]:
+    def _losses(self, batch: Batch, share: slice) -> dict[str, Tensor]:
         """Of a batch of which this process runs the network on a ``share``, and the others on theirs."""
         with self._precision.autocast():
-            own = self._network.maps(views, share)
+            own = self._network.maps(batch.views, share)
         maps = own if share == _WHOLE else self._ranks.gather(own)
-        return self._network.losses(maps, views, self._others.of(sources, mirrored), self._config)
-
-    def _draw(self) -> tuple[list[int], np.random.Generator]:
-        """The numbers of this step's views, from a fresh shuffle every time all were seen, and its generator.
-
-        Both depend on the seed and the step alone: nothing needs to be stored to resume.
-        """
-        size, total = self._config.batch_size, len(self._train)
-        numbers: list[int] = []
-        for place in range(self.step * size, (self.step + 1) * size):
-            order = np.random.default_rng([self._config.seed, 0, place // total]).permutation(total)
-            numbers.append(int(order[place % total]))
-        return numbers, np.random.default_rng([self._config.seed, 1, self.step])
+        return self._network.losses(maps, batch.views, self._others.of(batch.sources, batch.mirrored), self._config)
 
     def _not_finite(self, views: Sequence[SiteView]) -> NonFiniteLoss:
         frames = [(view.camera_id, view.time_ns) for view in views]
@@ -315,14 +285,13 @@ class _Training:
         size = self._config.batch_size
         starts = range(0, len(self._validation), size)
         for start in starts:
-            sources = self._validation[start : start + size]
-            views = [self._validation_view(start + offset) for offset in range(len(sources))]
+            batch = self._validation_batches.to_judge(start, start + size)
             with torch.inference_mode():
-                parts = self._losses(views, sources, [False] * len(sources), _WHOLE)
+                parts = self._losses(batch, _WHOLE)
             if not math.isfinite(float(parts["total"])):
-                raise self._not_finite(sources)
+                raise self._not_finite(batch.sources)
             for name, part in parts.items():
-                sums[name] = sums.get(name, 0.0) + float(part) * len(sources)
+                sums[name] = sums.get(name, 0.0) + float(part) * len(batch.sources)
         return {name: value / len(self._validation) for name, value in sums.items()}
 
     # --- checkpoints ------------------------------------------------------------------------

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -27,6 +27,7 @@ class LabelledView:
         front_known: (N,) whether the 3D box tells front from rear; where not, either heading is right.
         ignored: (M, 4) xyxy, px: regions in which the heat is not judged.
         not_looked_for: the road users that nothing here says anything about: their heat is judged nowhere.
+        whole_width_px: how wide the image is of which ``image`` is a window; None: it is whole.
     """
 
     image: NDArray[np.uint8]
@@ -38,6 +39,7 @@ class LabelledView:
     front_known: NDArray[np.bool_]
     ignored: FloatArray
     not_looked_for: frozenset[RoadUserClass] = frozenset()
+    whole_width_px: int | None = None
 
     def __post_init__(self) -> None:
         n = len(self.classes)
@@ -51,3 +53,14 @@ class LabelledView:
         for name, shape in shapes.items():
             if np.shape(getattr(self, name)) != shape:
                 raise ValueError(f"{name} must have shape {shape}, got {np.shape(getattr(self, name))}")
+
+    def where(self, rows: NDArray[np.int64]) -> LabelledView:
+        """The view with these (K,) of its vehicles alone; the image still shows the others."""
+        return replace(
+            self,
+            boxes2d=self.boxes2d[rows],
+            classes=self.classes[rows],
+            boxes3d=self.boxes3d[rows],
+            confidence=self.confidence[rows],
+            front_known=self.front_known[rows],
+        )

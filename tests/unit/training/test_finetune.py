@@ -87,7 +87,7 @@ def test_the_seed_decides(site: TinySite, tmp_path: Path) -> None:
     ],
 )
 def test_the_loss_falls(site: TinySite, tmp_path: Path, chosen: dict[str, object]) -> None:
-    config = options(steps=40, steps_per_epoch=10, learning_rate=1e-3, **chosen)  # higher ones may diverge
+    config = options(steps=80, steps_per_epoch=10, learning_rate=1e-3, **chosen)  # higher ones may diverge
     reports: list[float] = []
     result = finetune(network(), dataset_of(site), config, lambda f, m="", **k: reports.append(f), tmp_path)
     totals = [epoch.train["total"] for epoch in result.epochs]

@@ -163,7 +163,7 @@ def _lifted_values(
     known &= np.minimum(depth, ground_depth) > 0.5
     uv, ground = (np.where(known[:, None], pixels, 0.0) for pixels in (uv, ground))
     centre3d, footprint = (resized_px(pixels, 1 / STRIDE)[vehicle] for pixels in (uv, ground))
-    farthest = MAX_CENTRE_OFFSET_CELLS * max(1.0, view.camera.width_px / INPUT_WIDTH_PX)
+    farthest = MAX_CENTRE_OFFSET_CELLS * max(1.0, (view.whole_width_px or view.camera.width_px) / INPUT_WIDTH_PX)
     known_cell = known[vehicle] & (np.abs(centre3d - centre).max(axis=1, initial=0) <= farthest)
     rays = view.camera.rays(uv)
     alpha = boxes[:, YAW] - np.arctan2(rays[:, 1], rays[:, 0])
