@@ -18,8 +18,8 @@ from wibam_core.adapters.lease_store import LeaseStore
 from wibam_core.adapters.ownership import claim_folder
 from wibam_core.adapters.queue import RUN_STAGE, JobQueue, make_celery
 from wibam_core.adapters.settings import ServiceSettings
+from worker.attacks import ATTACKS, kept_out
 from worker.notice import Notice
-from worker.process import stages_can_be_offline
 from worker.runner import StageRunner
 
 _log = logging.getLogger(__name__)
@@ -60,8 +60,9 @@ def _migrate(**_: Any) -> None:
 
 @worker_init.connect
 def _say_what_stages_can_reach(**_: Any) -> None:
-    if not stages_can_be_offline():
-        _log.warning("this system lets no process leave its network: stages run with the network that the worker has")
+    succeeding = [ATTACKS[name] for name, held in kept_out().items() if not held]
+    if succeeding:
+        _log.warning("this system cannot keep a stage that was taken over from this: %s", "; ".join(succeeding))
 
 
 @worker_process_init.connect

@@ -188,8 +188,7 @@ class StageRunner:
         self, claim: Claim, job: Job, stage: StageRun, attempt: Attempt, keeper: LeaseKeeper, account: _Account
     ) -> Summary:
         with self._store.temporary(attempt) as home:
-            request = Path(home) / "request.json"
-            request.write_text(self._request(job, stage, attempt).model_dump_json())
+            request = self._request(job, stage, attempt)
             oom_kills = system_oom_kills()
             process = StageProcess.start(request, home=Path(home), cache=self._folder.cache, nice=self._limits.nice)
             try:

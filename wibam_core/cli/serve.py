@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import signal
+import subprocess
+import sys
 from pathlib import Path
 from types import FrameType
 from typing import Annotated
@@ -21,8 +23,13 @@ def serve(
     token: Annotated[
         str | None, typer.Option(envvar="WIBAM_TOKEN", help="The API token. Default: the one in the data folder.")
     ] = None,
+    check: Annotated[
+        bool, typer.Option("--check", help="Try what a hostile recording could do on this system, say so, and end.")
+    ] = False,
 ) -> None:
     """Serve the HTTP API, with a worker and all that they need. Ctrl-C ends it; running stages go on next time."""
+    if check:
+        raise typer.Exit(subprocess.run([sys.executable, "-m", "worker.attacks"]).returncode)
     console = Console()
     signal.signal(signal.SIGTERM, _interrupt)
     with EmbeddedService(data, host=host, port=port, workers=workers, token=token) as service:

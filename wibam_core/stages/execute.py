@@ -84,6 +84,16 @@ class StageRequest(BaseModel):
             scratch=attempt.scratch,
         )
 
+    @property
+    def reads(self) -> tuple[Path, ...]:
+        """All files and folders that the stage is given to read."""
+        return (*self.recordings.values(), *self.assets.values(), *self.upstream.values(), *self.earlier)
+
+    @property
+    def writes(self) -> tuple[Path, Path]:
+        """The folders that are its own."""
+        return (self.output, self.scratch)
+
     def context(self, progress: Progress, warned: WarningListener) -> StageContext:
         """The stage's surroundings."""
         return StageContext(

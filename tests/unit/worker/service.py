@@ -21,6 +21,7 @@ from wibam_core.adapters.settings import StageLimits
 from wibam_core.adapters.site_store import SiteStore, UploadRequest
 from wibam_core.jobs.leases import LeasePolicy
 from wibam_core.jobs.records import Job, Purpose
+from wibam_core.stages.execute import StageRequest
 from wibam_core.stages.graph import PlannedStage
 from wibam_core.stages.store import StageStore, sha256_of
 from worker.process import StageProcess
@@ -87,9 +88,13 @@ def done(**summary):
     print(json.dumps({"event": "done", "summary": summary}), flush=True)
 """
 
-    def start(request: Path, *, home: Path, cache: Path, nice: int) -> StageProcess:
-        program = [sys.executable, "-c", prelude + code, str(request)]
-        return StageProcess.confined(program, home=home, cache=cache, nice=nice)
+    def start(request: StageRequest, *, home: Path, cache: Path, nice: int) -> StageProcess:
+        told = home / "request.json"
+        told.write_text(request.model_dump_json())
+        program = [sys.executable, "-c", prelude + code, str(told)]
+        return StageProcess.confined(
+            program, home=home, cache=cache, nice=nice, reads=request.reads, writes=request.writes
+        )
 
     monkeypatch.setattr(StageProcess, "start", start)
 

@@ -210,7 +210,7 @@ except PermissionError:
             holder.kill()
         assert ("PASSWORD=abc" in read, read.strip() == "refused") == (not kept, kept)
 
-    def test_the_worker_keeps_them_and_says_when_stages_have_the_network(self, tmp_path: Path) -> None:
+    def test_the_worker_keeps_them_and_says_what_stages_can_reach(self, tmp_path: Path) -> None:
         settings = {"WIBAM_DATA_DIR": str(tmp_path), "WIBAM_BROKER_URL": "redis://r", "WIBAM_TOKEN_SHA256": "0" * 64}
         code = """
 import ctypes, os
@@ -221,13 +221,13 @@ if os.fork() == 0:
     print(dumpable(), flush=True)
     os._exit(0)
 os.wait()
-app.stages_can_be_offline = lambda: False
+app.kept_out = lambda: {"reach_network": False, "mount": True}
 app._say_what_stages_can_reach()
 """
         command = [sys.executable, "-c", code]
         result = subprocess.run(command, env={**os.environ, **settings}, capture_output=True, text=True)
         assert result.stdout.split() == ["0", str(stages_can_be_offline()), "0"], result.stderr
-        assert "stages run with the network" in result.stderr
+        assert "taken over from this: connect to a service on this machine\n" in result.stderr
 
 
 class TestKilling:

@@ -199,9 +199,9 @@ class TestFailing:
 
 class TestStopping:
     def test_a_cancelled_job_stops_its_stage(
-        self, service: Service, recording: Path, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+        self, service: Service, recording: Path, monkeypatch: pytest.MonkeyPatch
     ) -> None:
-        job, started = service.job(recording), tmp_path / "started"
+        job, started = service.job(recording), service.folder.cache / "started"
         run_instead(monkeypatch, f"open({str(started)!r}, 'w').write(str(os.getpid())); time.sleep(600)")
         worker = threading.Thread(target=service.runner().run, args=(key(job),))
         worker.start()
