@@ -9,6 +9,7 @@ import threading
 from collections.abc import Iterator, Mapping
 from pathlib import Path
 from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -329,10 +330,10 @@ def test_frames_that_the_disk_will_not_hold_are_refused_early(three: Run, monkey
     asked, converted = threading.Event(), itertools.count()
     convert = decode.to_bgr
 
-    def to_bgr(frame: VideoFrame, width_px: int | None) -> np.ndarray:
+    def to_bgr(frame: VideoFrame, *how: Any) -> np.ndarray:
         if next(converted) > 60:  # the last frames wait until the disk was looked at
             asked.wait(20)
-        return convert(frame, width_px)
+        return convert(frame, *how)
 
     def disk_usage(folder: Path) -> SimpleNamespace:
         asked.set()
