@@ -26,6 +26,7 @@ from wibam_core.errors import Conflict, InputError, NotFound
 from wibam_core.formats.labels import write_labels
 from wibam_core.jobs.records import Job, Purpose
 from wibam_core.scene import FrameSet
+from wibam_core.stages.recording_files import digest_of
 
 if TYPE_CHECKING:  # what computes with labels takes long to import, and a service starts often without being asked
     from wibam_core.scene import LabelledInstant
@@ -282,7 +283,8 @@ def evaluate(job_id: str, body: EvaluateIn, services: ServicesDep) -> JobOut:
 
 def _set(job: Job, name: str) -> LabelSet:
     """The labels of the job's footage that go by a name."""
-    return LabelSet(job.site_id, job.recordings[job.site.camera_ids[0]].sha256, name)
+    reference = job.recordings[job.site.camera_ids[0]]
+    return LabelSet(job.site_id, digest_of((file.filename, file.sha256) for file in reference), name)
 
 
 def _frames_at(services: Services, job: Job, time_ns: int) -> FrameSet:

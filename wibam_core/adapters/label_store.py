@@ -22,7 +22,7 @@ class LabelSet:
 
     Attributes:
         site_id: the site.
-        footage: SHA-256 of its reference camera's recording.
+        footage: digest of its reference camera's recording, on whose clock the times are.
         name: of the set.
     """
 

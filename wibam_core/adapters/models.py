@@ -171,7 +171,7 @@ class ConflictReviewRow(Base):
 class LabelVersionRow(Base):
     """Hand labels of one instant as somebody saved them. They belong to the site and its footage, not to a job.
 
-    ``footage`` is the SHA-256 of the reference camera's recording, on whose clock the times are.
+    ``footage`` is the digest of the reference camera's recording, on whose clock the times are.
     """
 
     __tablename__ = "label_versions"
