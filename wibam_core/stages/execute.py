@@ -87,7 +87,8 @@ class StageRequest(BaseModel):
     @property
     def reads(self) -> tuple[Path, ...]:
         """All files and folders that the stage is given to read."""
-        return (*self.recordings.values(), *self.assets.values(), *self.upstream.values(), *self.earlier)
+        footage = (file.path for recording in self.recordings.values() for file in recording.files)
+        return (*footage, *self.assets.values(), *self.upstream.values(), *self.earlier)
 
     @property
     def writes(self) -> tuple[Path, Path]:
