@@ -78,7 +78,45 @@ class DetectConfig(StageConfig):
     )
 
 
+class RefineConfig(StageConfig):
+    method: Literal["traffic", "none"] = Field(
+        "traffic",
+        description="'traffic': how the cameras are held, and where, is refined by the road users that several of them"
+        " see, and taken where it fits others better that it was not found by; 'none': cameras stay as calibrated",
+    )
+    intrinsics: Literal["none", "focal", "focal_k1"] = Field(
+        "none", description="refine each camera's focal length as well, or that and its first distortion coefficient"
+    )
+    rotation_sd_deg: float = Field(
+        0.5,
+        gt=0,
+        le=10,
+        description="standard deviation about each axis of how a camera is held that was given by ready matrices; of"
+        " one that was solved from points, these say how well it is known",
+    )
+    position_sd_m: float = Field(0.05, gt=0, le=10, description="the same of where it is, along each axis")
+    clock_sd_s: float = Field(
+        0.015, gt=0, le=1, description="how far synchronised clocks may still be off; such an error turns no camera"
+    )
+    min_vehicles: int = Field(
+        16, ge=4, le=100_000, description="moving vehicles that several cameras must see, a quarter of them to judge by"
+    )
+    least_gain: float = Field(
+        0.1,
+        ge=0,
+        lt=1,
+        description="a refined calibration is taken if it lowers the reprojection error of vehicles that it was not"
+        " found by, by at least this share; less may be what is wrong with the bodies that vehicles are taken to have",
+    )
+
+
 class AssociateConfig(StageConfig):
+    method: Literal["tracked", "paper"] = Field(
+        "tracked",
+        description="which boxes show one vehicle; 'tracked': those whose rays mostly meet while they are followed, by"
+        " how certain each ray is; 'paper': those whose ground points DP-means clusters at an instant, as published;"
+        " statistics count both",
+    )
     cluster_radius_m: float = Field(3.0, gt=0, le=50, description="DP-means penalty: farther rays open a new vehicle")
     range_m: float = Field(
         60.0, gt=0, le=1000, description="ground points farther than this from the cameras' centre are left out"
@@ -344,6 +382,7 @@ class PipelineConfig(StageConfig):
     calibrate: CalibrateConfig = CalibrateConfig()
     frames: FramesConfig = FramesConfig()
     detect: DetectConfig = DetectConfig()
+    refine: RefineConfig = RefineConfig()
     associate: AssociateConfig = AssociateConfig()
     dataset: DatasetConfig = DatasetConfig()
     lift: LiftConfig = LiftConfig()

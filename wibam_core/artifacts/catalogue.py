@@ -13,6 +13,7 @@ from wibam_core.documents.conflicts import Conflicts
 from wibam_core.documents.curves import Curves
 from wibam_core.documents.metrics import Metrics
 from wibam_core.documents.recordings import Limits, Probe
+from wibam_core.documents.refinement import Refinement
 from wibam_core.documents.split import Split
 from wibam_core.documents.statistics import (
     AssociationStatistics,
@@ -34,6 +35,7 @@ from wibam_core.formats.vehicles3d import read_vehicles3d, write_vehicles3d
 _ANNOTATIONS = own_format(read_annotations, write_annotations)
 _DETECTIONS = own_format(read_detections, write_detections)
 _INSTANTS = own_format(read_instants, write_instants)
+_RIG = own_format(read_rig, write_rig, JSON)
 _BOXES_3D = own_format(read_vehicles3d, write_vehicles3d)
 
 PROBE: Final = Artifact("probe", "preflight", "probe.json", "The recordings", document(Probe))
@@ -49,7 +51,7 @@ CLOCKS: Final = Artifact(
     "clocks", "sync", "clocks.json", "The cameras' clocks", own_format(read_clocks, write_clocks, JSON)
 )
 CHANGES: Final = Artifact("changes", "sync", "changes.json", "Light changes", document(Synchronisation))
-RIG: Final = Artifact("rig", "calibrate", "rig.json", "The calibrated cameras", own_format(read_rig, write_rig, JSON))
+CALIBRATED_RIG: Final = Artifact("calibrated-rig", "calibrate", "rig.json", "The cameras as calibrated", _RIG)
 RESIDUALS: Final = Artifact(
     "residuals", "calibrate", "residuals.json", "Residuals of the calibration", document(CalibrationResiduals)
 )
@@ -79,6 +81,10 @@ SEARCHED_INSTANTS: Final = Artifact(
 )
 DETECTION_STATISTICS: Final = Artifact(
     "detection-statistics", "detect", "statistics.json", "Counts of 2D boxes", document(DetectionStatistics)
+)
+RIG: Final = Artifact("rig", "refine", "rig.json", "The cameras as they are used", _RIG)
+REFINEMENT: Final = Artifact(
+    "refinement", "refine", "refinement.json", "What the traffic says of the cameras", document(Refinement)
 )
 ANNOTATIONS: Final = Artifact(
     "annotations",

@@ -7,14 +7,15 @@ hidden (`stitching`).
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Sequence
-from dataclasses import dataclass, fields, replace
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 
+from wibam_core.association.box_rays import BoxRays, box_rays
 from wibam_core.association.dpmeans import constrained_dp_means
 from wibam_core.association.grouping import group
-from wibam_core.association.rays import POINT_SD_M, ground_covariances, ground_points, rig_centre, within_range
+from wibam_core.association.rays import POINT_SD_M
 from wibam_core.association.stitching import Sightings, stitch
 from wibam_core.association.tracklets import tracklets
 from wibam_core.config import AssociateConfig
@@ -29,32 +30,6 @@ _TOGETHER = 500
 
 
 @dataclass(frozen=True, eq=False)
-class _Rays:
-    """Ground points of all boxes that lie in range: N boxes, in the order of instants and then of cameras."""
-
-    instants: IntArray  # (N,) number of the instant, ascending
-    points: FloatArray  # (N, 2)
-    covariances: FloatArray  # (N, 2, 2)
-    cameras: IntArray  # (N,) number of the camera in the rig
-    rows: IntArray  # (N,) index into that camera's detections
-    times_ns: IntArray  # (N,) exposure
-    scores: FloatArray  # (N,)
-    classes: IntArray  # (N,)
-
-    def __len__(self) -> int:
-        return len(self.instants)
-
-    def rows_of(self, numbers: range) -> slice:
-        """Where the rays of consecutive instants are."""
-        return slice(*np.searchsorted(self.instants, [numbers.start, numbers.stop]).tolist())
-
-    def of(self, numbers: range) -> _Rays:
-        """The rays of consecutive instants."""
-        rows = self.rows_of(numbers)
-        return _Rays(*(getattr(self, field.name)[rows] for field in fields(self)))
-
-
-@dataclass(frozen=True, eq=False)
 class _Clusters:
     """Clusters of one instant's rays: K clusters."""
 
@@ -64,7 +39,11 @@ class _Clusters:
 
 
 def associate(
-    instants: Sequence[AnnotatedInstant], rig: CameraRig, config: AssociateConfig, progress: Progress = silent
+    instants: Sequence[AnnotatedInstant],
+    rig: CameraRig,
+    config: AssociateConfig,
+    progress: Progress = silent,
+    poses: Mapping[str, FloatArray] | None = None,
 ) -> list[AnnotatedInstant]:
     """Find which boxes of different cameras show the same vehicle, and follow it over time.
 
@@ -76,6 +55,8 @@ def associate(
         rig: calibrated cameras; what other cameras saw is not looked at.
         config: radius, range, speed and for how long a vehicle may be hidden.
         progress: told now and then.
+        poses: camera id -> (6, 6) covariance of its rotation and position, where that is known: rays of different
+            cameras meet as far apart as these allow.
 
     Returns:
         The same instants with vehicles: ``obj_id`` counts within the instant, ``track_id`` is −1 for what is seen
@@ -85,7 +66,7 @@ def associate(
         NoVehicles: no box in range at any instant.
         NoMultiViewVehicles: no vehicle seen by two cameras at once.
     """
-    all_rays = _rays(instants, rig, config.range_m)
+    all_rays = box_rays(instants, rig, config.range_m, poses)
     if not len(all_rays):
         boxes = sum(len(d) for instant in instants for d in instant.detections.values())
         raise NoVehicles(
@@ -138,40 +119,9 @@ def association_statistics(instants: Sequence[AnnotatedInstant]) -> AssociationS
     )
 
 
-def _rays(instants: Sequence[AnnotatedInstant], rig: CameraRig, range_m: float) -> _Rays:
-    centre = rig_centre(rig)
-    none = np.empty(0, np.int64)
-    parts = [_Rays(none, np.empty((0, 2)), np.empty((0, 2, 2)), none, none, none, np.empty(0), none)]
-    for number, (camera_id, camera) in enumerate(rig.items()):
-        seen = [(k, i.detections[camera_id]) for k, i in enumerate(instants) if camera_id in i.detections]
-        if not seen:
-            continue
-        counts = np.array([len(d) for _, d in seen])
-        boxes = np.concatenate([d.whole_boxes for _, d in seen])
-        classes = np.concatenate([d.classes for _, d in seen])
-        points = ground_points(camera, boxes, classes)
-        near = np.flatnonzero(within_range(points, centre, range_m))
-        rows = np.arange(len(boxes)) - np.repeat(np.cumsum(counts) - counts, counts)
-        parts.append(
-            _Rays(
-                np.repeat([k for k, _ in seen], counts)[near],
-                points[near],
-                ground_covariances(camera, boxes[near], classes[near], points[near]),
-                np.full(len(near), number),
-                rows[near],
-                np.repeat([d.frame_time_ns for _, d in seen], counts)[near],
-                np.concatenate([d.scores for _, d in seen])[near],
-                classes[near],
-            )
-        )
-    columns = [np.concatenate([getattr(p, field.name) for p in parts]) for field in fields(_Rays)]
-    order = np.argsort(columns[0], kind="stable")
-    return _Rays(*(column[order] for column in columns))
-
-
 def _followed(
     instants: Sequence[AnnotatedInstant],
-    rays: Sequence[_Rays],
+    rays: Sequence[BoxRays],
     labels: Sequence[IntArray],
     camera_ids: tuple[str, ...],
     max_gap_s: float,
@@ -194,7 +144,7 @@ def _followed(
     return [np.searchsorted(in_range, vehicle[ids]) for ids in of_rays]
 
 
-def _clustered(rays: _Rays, radius_m: float) -> IntArray:
+def _clustered(rays: BoxRays, radius_m: float) -> IntArray:
     """The cluster (N,) in its instant of each ray: those of vehicles, then those of people on foot or on two wheels."""
     labels = np.empty(len(rays), dtype=np.int64)
     count = 0
@@ -208,7 +158,7 @@ def _clustered(rays: _Rays, radius_m: float) -> IntArray:
     return labels
 
 
-def _clusters(rays: _Rays, labels: IntArray) -> _Clusters:
+def _clusters(rays: BoxRays, labels: IntArray) -> _Clusters:
     """Where the clusters of rays with these labels (N,) are."""
     count = int(labels.max(initial=-1)) + 1
     information = np.linalg.inv(rays.covariances)
@@ -248,7 +198,7 @@ def _track_classes(clusters: Sequence[_Clusters], tracks: Sequence[IntArray]) ->
 
 
 def _vehicles(
-    rays: _Rays, clusters: _Clusters, tracks: IntArray, classes: IntArray, camera_ids: tuple[str, ...]
+    rays: BoxRays, clusters: _Clusters, tracks: IntArray, classes: IntArray, camera_ids: tuple[str, ...]
 ) -> tuple[MultiViewVehicle, ...]:
     views: list[dict[str, int]] = [{} for _ in tracks]
     for label, camera, row in zip(clusters.labels, rays.cameras, rays.rows, strict=True):

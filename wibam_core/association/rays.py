@@ -11,7 +11,7 @@ from wibam_core.road_users import CLASSES
 from wibam_core.scene import CameraRig, FloatArray, IntArray
 
 #: (classes,) in the order of `CLASSES`: height of the plane that the ray is met with, m.
-_PLANE_HEIGHTS_M: FloatArray = np.array([c.traits.plane_height_m for c in CLASSES])
+PLANE_HEIGHTS_M: FloatArray = np.array([c.traits.plane_height_m for c in CLASSES])
 #: How far a ground point of a usual car near the camera lies off, m: perspective, taper and jitter together.
 POINT_SD_M = 0.5
 _PLACE_SCALES: FloatArray = np.array([c.traits.place_scale for c in CLASSES])
@@ -22,7 +22,7 @@ _ROW_SD_SHARE = 0.03
 #: Standard deviation of the height of the vehicle's middle, as a share of the plane's height.
 _HEIGHT_SD_SHARE = 0.2
 #: No ground point is taken to be less certain than this: rays near the horizon would reach across the whole site.
-_LARGEST_SD_M = 6.0
+LARGEST_SD_M = 6.0
 
 
 def ground_points(camera: Camera, boxes: FloatArray, classes: IntArray) -> FloatArray:
@@ -39,7 +39,7 @@ def ground_points(camera: Camera, boxes: FloatArray, classes: IntArray) -> Float
         classes: (N,).
     """
     middles = 0.5 * (boxes[:, :2] + boxes[:, 2:])
-    return intersect_plane(camera, middles, _PLANE_HEIGHTS_M[classes])[:, :2]
+    return intersect_plane(camera, middles, PLANE_HEIGHTS_M[classes])[:, :2]
 
 
 def ground_covariances(camera: Camera, boxes: FloatArray, classes: IntArray, points: FloatArray) -> FloatArray:
@@ -49,13 +49,13 @@ def ground_covariances(camera: Camera, boxes: FloatArray, classes: IntArray, poi
     """
     offset = points - camera.centre_m[:2]
     distance = np.maximum(np.linalg.norm(offset, axis=-1), 1e-6)
-    plane = _PLANE_HEIGHTS_M[classes]
+    plane = PLANE_HEIGHTS_M[classes]
     above = np.maximum(camera.centre_m[2] - plane, 0.5)
     row_px = np.hypot(_ROW_SD_PX, _ROW_SD_SHARE * (boxes[:, 3] - boxes[:, 1]))
     by_row = (distance**2 + above**2) / above * row_px / camera.K[1, 1]
     by_height = distance / above * _HEIGHT_SD_SHARE * plane
     base = POINT_SD_M * _PLACE_SCALES[classes]
-    along = np.minimum(np.sqrt(base**2 + by_row**2 + by_height**2), np.maximum(_LARGEST_SD_M, base))
+    along = np.minimum(np.sqrt(base**2 + by_row**2 + by_height**2), np.maximum(LARGEST_SD_M, base))
     direction = offset / distance[:, None]
     outer = direction[:, :, None] * direction[:, None, :]
     return np.asarray(base[:, None, None] ** 2 * np.eye(2) + (along**2 - base**2)[:, None, None] * outer)

@@ -59,10 +59,14 @@ class CameraCovariance:
 
     def ground_sd_m(self, ground: Array) -> Array:
         """(N,) standard deviations of where the pixels of ground points (N, 3) meet the ground, both axes together."""
+        return np.asarray(np.sqrt(np.trace(self.ground_covariances(ground), axis1=1, axis2=2)))
+
+    def ground_covariances(self, ground: Array) -> Array:
+        """(N, 2, 2) covariances of where the pixels of points (N, 3) meet the level planes that these lie in, m²."""
         jacobian = _jacobian(self.camera, ground)[:, : len(self.matrix)].reshape(len(ground), 2, len(self.matrix))
         by_place = -jacobian[:, :, 3:5]
         moves = np.linalg.solve(by_place, jacobian)
-        return np.asarray(np.sqrt(np.einsum("nij,jk,nik->n", moves, self.matrix, moves)))
+        return np.asarray(np.einsum("nij,jk,nlk->nil", moves, self.matrix, moves))
 
 
 def camera_covariance(camera: Camera, world: Array, pixels: Array, *, solved_focal: bool) -> CameraCovariance | None:

@@ -67,8 +67,32 @@ class CameraResiduals(Document):
     residuals: list[PointResidual]
 
 
+class PairOverlap(Document):
+    """The road that two cameras see."""
+
+    cameras: list[str]
+    """Ids of the two."""
+    area_m2: float
+    share: float
+    """Of what the camera sees that sees less."""
+
+
+class Overlap(Document):
+    """What cameras see of the road near the middle of all of them, were nothing in the way."""
+
+    within_m: float
+    """So far from the middle is looked at."""
+    area_m2: dict[str, float]
+    """By camera id."""
+    pairs: list[PairOverlap]
+    seen_by_m2: dict[str, float]
+    """Number of cameras -> area that so many see at least."""
+
+
 class CalibrationResiduals(Document):
     """The calibration of all cameras."""
 
+    overlap: Overlap | None = None
+    """Null for calibrations of versions that did not look."""
     cameras: dict[str, CameraResiduals]
     """By camera id."""

@@ -20,6 +20,17 @@ class DetectionStatistics(Document):
     """Road users that the detector does not know: they are not found, or taken for one of another class."""
 
 
+class AssociationAgreement(Document):
+    """Pairs of boxes of different cameras said to show one vehicle, by our method and by the published one."""
+
+    tracked_pairs: int
+    """By ours (`associate.method` "tracked")."""
+    paper_pairs: int
+    """By the published one ("paper")."""
+    both: int
+    """By both of them."""
+
+
 class AssociationStatistics(Document):
     """What became of the 2D boxes."""
 
@@ -36,6 +47,10 @@ class AssociationStatistics(Document):
     tracks: int
     """Vehicles linked over time."""
     most_vehicles_at_once: int
+    method: str = "tracked"
+    """`associate.method`, by which these figures are."""
+    agreement: AssociationAgreement | None = None
+    """With the other method; null where nobody compared them."""
 
 
 class SubsetStatistics(Document):

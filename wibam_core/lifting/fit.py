@@ -228,9 +228,37 @@ def _linearise(problem: FitProblem, parameters: Tensor) -> _State:
     return _State(cost, gradient, hessian, data_hessian, edges, exact, used)
 
 
+@dataclass(frozen=True, eq=False)
+class Contacts:
+    """Where bodies touch the edges of their image boxes: B vehicles, V views, 4 edges (left, top, right, bottom).
+
+    Attributes:
+        edges: (B, V, 4) xyxy, px. exact: (B, V, 4) edges that can be compared both ways. used: (B, V) views that can be
+            compared at all.
+        derivatives: (B, V, 4, 6) of the edges by the unknowns.
+        which: (B, V, 4) number of the body's point that makes each edge. points: (B, V, 4, 3) where it is in the
+            camera's frame, m.
+        slopes: (B, V, 4, 3) of the edges by these points, px/m.
+    """
+
+    edges: Tensor
+    exact: Tensor
+    used: Tensor
+    derivatives: Tensor
+    which: Tensor
+    points: Tensor
+    slopes: Tensor
+
+
 def predicted_edges(problem: FitProblem, parameters: Tensor) -> tuple[Tensor, Tensor, Tensor, Tensor]:
     """Edges (B, V, 4) of the body's image boxes, their derivatives (B, V, 4, 6), which edges can be compared both ways
     (B, V, 4), and which views can be compared at all (B, V)."""
+    found = contacts(problem, parameters)
+    return found.edges, found.derivatives, found.exact, found.used
+
+
+def contacts(problem: FitProblem, parameters: Tensor) -> Contacts:
+    """The edges of the image boxes of bodies (B, 6), and the points of the bodies that make them."""
     size = parameters[:, LOG_SIZE].exp()
     cos, sin = parameters[:, YAW].cos(), parameters[:, YAW].sin()
     local = problem.body * size[:, None]
@@ -255,7 +283,8 @@ def predicted_edges(problem: FitProblem, parameters: Tensor) -> tuple[Tensor, Te
     which = torch.cat([at_low, at_high], dim=-1)  # (B, V, 4) body point of each edge
     batch = torch.arange(len(parameters))[:, None, None]
     view = torch.arange(which.shape[1])[None, :, None]
-    slope = _pixel_slopes(problem.cameras, safe[batch, view, which])  # (B, V, 4, 3)
+    touching = safe[batch, view, which]  # (B, V, 4, 3)
+    slope = _pixel_slopes(problem.cameras, touching)
     # in a view that the border cuts, the point that makes an edge may itself lie out of the image
     across = torch.take_along_dim(pixels, which[..., None], dim=2).flip(-1)
     inside = ((across > -0.5) & (across < problem.cameras.size[:, :, None].flip(-1) - 0.5)) | ~problem.cut[
@@ -267,7 +296,7 @@ def predicted_edges(problem: FitProblem, parameters: Tensor) -> tuple[Tensor, Te
     jacobian = _point_jacobian(body, size[:, 2], cos, sin)
     in_camera = (slope[..., None, :] @ rotation[:, :, None])[..., 0, :]
     derivatives = (in_camera[..., None, :] @ jacobian)[..., 0, :]
-    return torch.cat([low, high], dim=-1), derivatives, exact, used
+    return Contacts(torch.cat([low, high], dim=-1), exact, used, derivatives, which, touching, slope)
 
 
 def _pixel_slopes(cameras: CameraTensors, points: Tensor) -> Tensor:

@@ -110,17 +110,15 @@ def lift(
     origin = rig_centre(rig)
     seen = replace(seen, positions=seen.positions - origin)
     tracks = Tracks.group(seen.tracks, seen.times_ns)
-    cameras = CameraTensors.from_cameras([_moved(camera, -origin) for camera in rig.values()])
+    cameras = CameraTensors.from_cameras([moved(camera, -origin) for camera in rig.values()])
 
     progress(0.0, "motion of the clusters of rays")
     views = seen.seen.sum(axis=1)
-    cluster_sd = np.where(views >= config.min_views, _CLUSTER_SD_M, _RAY_SD_M)
-    motion = smooth(tracks, seen.positions, cluster_sd[:, None, None] ** 2 * np.eye(2))
-    yaw, yaw_sd = _headings(tracks, seen.classes, motion, _CLUSTER_JUMP_M)
+    motion, yaw, yaw_sd = clusters_in_motion(seen, tracks, config.min_views)
     prior_mean, prior_sd = LOG_SIZE_MEAN[seen.classes], LOG_SIZE_SD[seen.classes]
 
     progress(0.1, f"fitting {len(seen)} vehicles one by one")
-    problem = _problem(seen, cameras, tracks, motion, prior_mean, prior_sd, yaw, 2 * yaw_sd, BODIES)
+    problem = fit_problem(seen, cameras, tracks, motion, prior_mean, prior_sd, yaw, 2 * yaw_sd, BODIES)
     known = np.isfinite(yaw_sd)
     noise = _estimate_noise(problem, known, views, config.iterations)
     problem = with_noise(problem, noise)
@@ -150,7 +148,7 @@ def lift(
 
     progress(0.6, "fitting again with one size and heading per track")
     tight = np.full_like(own_size_sd, 0.01)
-    problem = with_noise(_problem(seen, cameras, tracks, motion, own_size, tight, yaw, yaw_sd, shapes.bodies), noise)
+    problem = with_noise(fit_problem(seen, cameras, tracks, motion, own_size, tight, yaw, yaw_sd, shapes.bodies), noise)
     start = np.concatenate([parameters[:, PLACE], own_size, yaw[:, None]], axis=1)
     second = fit(problem, torch.as_tensor(start[:, None], dtype=torch.float32), config.iterations)
     parameters, covariance = _solution(second, problem)
@@ -175,7 +173,8 @@ def lift(
     return LiftResult(vehicles, _statistics(seen, residual, keep, noise, lasting, shapes))
 
 
-def _moved(camera: Camera, shift_m: FloatArray) -> Camera:
+def moved(camera: Camera, shift_m: FloatArray) -> Camera:
+    """The camera, shifted along the world's X and Y by ``shift_m`` (2,)."""
     pose = camera.T_world_cam
     return replace(camera, T_world_cam=SE3(pose.rotation, pose.translation + np.append(shift_m, 0.0)))
 
@@ -188,6 +187,13 @@ def _worth_fitting(seen: Observations, config: LiftConfig) -> Observations:
     return seen.where(linked & (enough | (count[seen.tracks] >= config.few_views_sightings)))
 
 
+def clusters_in_motion(seen: Observations, tracks: Tracks, min_views: int) -> tuple[Motion, FloatArray, FloatArray]:
+    """Motion by the clusters of rays alone, yaw (N,) along it, rad, and its s.d., infinite for who never moves."""
+    cluster_sd = np.where(seen.seen.sum(axis=1) >= min_views, _CLUSTER_SD_M, _RAY_SD_M)
+    motion = smooth(tracks, seen.positions, cluster_sd[:, None, None] ** 2 * np.eye(2))
+    return (motion, *_headings(tracks, seen.classes, motion, _CLUSTER_JUMP_M))
+
+
 def _headings(tracks: Tracks, classes: IntArray, motion: Motion, jump_m: float) -> tuple[FloatArray, FloatArray]:
     """Yaw (N,) by motion and its s.d., infinite where the vehicle never moves. ``classes`` (N,) are a track's own."""
     count = len(classes)
@@ -195,7 +201,7 @@ def _headings(tracks: Tracks, classes: IntArray, motion: Motion, jump_m: float) 
     return tracks.scatter(found.yaw_rad, np.zeros(count)), tracks.scatter(found.sd_rad, np.full(count, np.inf))
 
 
-def _problem(
+def fit_problem(
     seen: Observations,
     cameras: CameraTensors,
     tracks: Tracks,
@@ -205,9 +211,17 @@ def _problem(
     yaw: FloatArray,
     yaw_sd: FloatArray,
     bodies: FloatArray,
+    dtype: torch.dtype = torch.float32,
 ) -> FitProblem:
+    """Observations of N vehicles as a problem to fit.
+
+    The cameras may count from another origin, as the positions then do. Of sizes (N, 3), in logarithms of m, and of
+    headings (N,), rad, it is said what is known and how well; bodies are (classes, P, 3) in lengths, widths and
+    heights.
+    """
+
     def tensor(values: FloatArray) -> torch.Tensor:
-        return torch.as_tensor(values, dtype=torch.float32)
+        return torch.as_tensor(values, dtype=dtype)
 
     velocity = tracks.scatter(motion.velocity, np.zeros((len(seen), 2)))
     none = np.zeros((len(seen), 2))
@@ -220,7 +234,7 @@ def _problem(
         cut=torch.as_tensor(seen.cut),
         shift=tensor(velocity[:, None] * seen.lateness_s[..., None]),
         body=tensor(bodies[seen.classes]),
-        noise=torch.ones(len(seen)),
+        noise=torch.ones(len(seen), dtype=dtype),
         prior_mean=tensor(np.concatenate([seen.positions, log_size, yaw[:, None]], axis=1)),
         prior_weight=tensor(np.concatenate([none, log_size_sd**-2.0, yaw_sd[:, None] ** -2.0], axis=1)),
     )

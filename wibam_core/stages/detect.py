@@ -13,10 +13,10 @@ import numpy as np
 from wibam_core.artifacts.artifact import Artifact
 from wibam_core.artifacts.catalogue import (
     BACKGROUND_DETECTIONS,
+    CALIBRATED_RIG,
     DETECTION_STATISTICS,
     DETECTIONS,
     FRAMES,
-    RIG,
     SEARCHED_INSTANTS,
     TIMESTAMPS,
 )
@@ -56,7 +56,7 @@ def run(context: StageContext, config: DetectConfig) -> Summary:
     refined = config.refine == "on" or (config.refine == "auto" and config.detector == "bundled")
     instants = store.thinned(config.rate_hz)
     frames = frames_of(instants)
-    rig = context.read(RIG) if any(camera.is_wide for camera in context.site.cameras) else None
+    rig = context.read(CALIBRATED_RIG) if any(camera.is_wide for camera in context.site.cameras) else None
     shown, of_backgrounds = {}, []
     if refined:
         times_ns = context.read(TIMESTAMPS)

@@ -13,7 +13,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from wibam_core.artifacts.catalogue import CLOCKS, FRAMES, LIMITS, PROBE, RIG, TIMESTAMPS
+from wibam_core.artifacts.catalogue import CALIBRATED_RIG, CLOCKS, FRAMES, LIMITS, PROBE, TIMESTAMPS
 from wibam_core.config import FramesConfig
 from wibam_core.detection.background import BackgroundFrames
 from wibam_core.documents.recordings import VideoInfo
@@ -102,7 +102,7 @@ def run(context: StageContext, config: FramesConfig) -> Summary:
         )
     _check_shared(spans, infos, context.read(LIMITS).min_overlap_s)
     times = context.read(TIMESTAMPS)
-    rig = context.read(RIG) if any(camera.is_wide for camera in context.site.cameras) else None
+    rig = context.read(CALIBRATED_RIG) if any(camera.is_wide for camera in context.site.cameras) else None
     cameras = [
         _camera(
             camera_id, context.recordings[camera_id], clocks[camera_id], info, times[camera_id], instants, config, rig

@@ -161,7 +161,7 @@ _SPECS = (
         _sizes,
         reads_recordings=True,
         frame_by_frame=FrameByFrame(frozenset({"rate_hz"}), frozenset({"preflight", "sync"})),
-        reads_if_wide=(catalogue.RIG,),
+        reads_if_wide=(catalogue.CALIBRATED_RIG,),
     ),
     StageSpec(
         "detect",
@@ -169,12 +169,17 @@ _SPECS = (
         (catalogue.TIMESTAMPS, catalogue.FRAMES),
         assets=("detector",),
         frame_by_frame=FrameByFrame(frozenset({"rate_hz"})),
-        reads_if_wide=(catalogue.RIG,),
+        reads_if_wide=(catalogue.CALIBRATED_RIG,),
+    ),
+    StageSpec(
+        "refine",
+        "Refine the calibration by the traffic",
+        (catalogue.CALIBRATED_RIG, catalogue.RESIDUALS, catalogue.DETECTIONS, catalogue.SEARCHED_INSTANTS),
     ),
     StageSpec(
         "associate",
         "Associate views and link over time",
-        (catalogue.RIG, catalogue.DETECTIONS, catalogue.SEARCHED_INSTANTS),
+        (catalogue.RIG, catalogue.REFINEMENT, catalogue.DETECTIONS, catalogue.SEARCHED_INSTANTS),
     ),
     StageSpec("dataset", "Split in time", (catalogue.RIG, catalogue.ANNOTATIONS)),
     StageSpec("lift", "Fit 7DoF boxes to all views", (catalogue.RIG, catalogue.ANNOTATIONS, catalogue.SPLIT)),

@@ -22,6 +22,7 @@ from wibam_core.dataset.statistics import dataset_statistics
 from wibam_core.detection.instants import by_frame
 from wibam_core.detection.statistics import detection_statistics
 from wibam_core.documents.recordings import Limits, Probe, VideoInfo
+from wibam_core.documents.refinement import Refinement
 from wibam_core.documents.split import SUBSETS, Split
 from wibam_core.documents.synchronisation import Synchronisation
 from wibam_core.errors import InputError
@@ -86,6 +87,9 @@ def _write(content: Content, site_dir: Path, progress: Progress) -> list[str]:
         given.write(catalogue.DETECTIONS, detected)
         given.write(catalogue.SEARCHED_INSTANTS, searched)
         given.write(catalogue.DETECTION_STATISTICS, found)
+    with giving(site_dir, "refine", {"taken": False}) as given:  # it is the data set's calibration that is wanted
+        given.write(catalogue.RIG, content.rig)
+        given.write(catalogue.REFINEMENT, Refinement(method="none", taken=False, reason="the cameras were imported"))
     associated = association_statistics(linked)
     with giving(site_dir, "associate", associated.model_dump()) as given:
         given.write(catalogue.ANNOTATIONS, linked)

@@ -1,7 +1,9 @@
 from __future__ import annotations
 
+from dataclasses import replace
 from itertools import combinations
 
+import cv2
 import numpy as np
 import pytest
 
@@ -10,6 +12,8 @@ from tests.multiview import crossing
 from wibam_core.association.associate import associate, association_statistics
 from wibam_core.config import AssociateConfig
 from wibam_core.errors import NoMultiViewVehicles, NoVehicles
+from wibam_core.geometry.projection import project_boxes
+from wibam_core.geometry.se3 import SE3
 from wibam_core.road_users import RoadUserClass
 from wibam_core.scene import AnnotatedInstant, CameraRig, Detections2D, MultiViewVehicle
 
@@ -108,3 +112,26 @@ def test_cameras_that_never_meet() -> None:
     with pytest.raises(NoMultiViewVehicles) as raised:
         associate(only_two, elsewhere, AssociateConfig(range_m=200.0))
     assert "calibration" in raised.value.hint
+
+
+def test_cameras_that_may_be_turned_meet_farther_apart() -> None:
+    """Two cameras whose rays of one vehicle end 3.6 m apart, since one of them is turned by 3 degrees."""
+    rig = corner_rig(2)
+    box = np.array([[1.0, 2.0, 0.75, 4.4, 1.8, 1.5, 0.3]])
+    camera = rig["cam2"]
+    by_3_deg = cv2.Rodrigues(np.radians([3.0, 0.0, 0.0]))[0]
+    pose = SE3(camera.T_world_cam.rotation @ by_3_deg, camera.T_world_cam.translation)
+    wrong = CameraRig({"cam1": rig["cam1"], "cam2": replace(camera, T_world_cam=pose)})
+    one = np.zeros(1, np.int64)
+    instants = [
+        AnnotatedInstant(
+            k * 100_000_000,
+            {name: Detections2D(name, k * 100_000_000, project_boxes(rig[name], box), [0.9], one) for name in rig},
+        )
+        for k in range(3)
+    ]
+    covariance = np.diag([np.radians(3.0) ** 2] * 3 + [1e-6] * 3)
+    with pytest.raises(NoMultiViewVehicles):
+        associate(instants, wrong, AssociateConfig(cluster_radius_m=1.0))
+    found = associate(instants, wrong, AssociateConfig(cluster_radius_m=1.0), poses=dict.fromkeys(rig, covariance))
+    assert [[len(vehicle.views) for vehicle in instant.vehicles] for instant in found] == [[2], [2], [2]]

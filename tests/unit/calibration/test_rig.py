@@ -8,7 +8,7 @@ import torch
 
 from tests.builders import corner_rig, look_at, site_of
 from tests.stage_folders import StageFolders
-from wibam_core.artifacts.catalogue import RESIDUALS, RIG
+from wibam_core.artifacts.catalogue import CALIBRATED_RIG, RESIDUALS
 from wibam_core.calibration.matrices import build_camera, camera_from_matrices
 from wibam_core.calibration.residuals import Residuals, metres_per_pixel
 from wibam_core.calibration.rig import calibrate, check_overlap, solve_camera
@@ -253,7 +253,7 @@ def test_stage_writes_rig_and_residuals(tmp_path):
     site = mixed_site(corner_rig(3), noise_px=0.3)
     folders = StageFolders(tmp_path)
     summary = stage.run(folders.context("calibrate", site), CONFIG)
-    assert list(folders.read(RIG)) == ["cam1", "cam2", "cam3"]
+    assert list(folders.read(CALIBRATED_RIG)) == ["cam1", "cam2", "cam3"]
     residuals = folders.read(RESIDUALS).cameras["cam2"]
     assert len(residuals.residuals) == len(POINTS)
     assert summary["cameras"]["cam2"]["median_px"] == pytest.approx(residuals.median_px)

@@ -10,6 +10,7 @@ from tests.multiview import crossing
 from tests.stage_folders import StageFolders
 from wibam_core.artifacts import catalogue
 from wibam_core.config import AssociateConfig, DatasetConfig, LiftConfig
+from wibam_core.documents.refinement import Refinement
 from wibam_core.site import MatrixCalibration, Site, SiteCamera
 from wibam_core.stages import associate, dataset, lift
 from wibam_core.stages.base import Summary
@@ -32,6 +33,7 @@ SITE = Site(
 def outputs(tmp_path_factory: pytest.TempPathFactory) -> tuple[StageFolders, dict[str, Summary]]:
     folders, scene = StageFolders(tmp_path_factory.mktemp("stages")), crossing()
     folders.give(catalogue.RIG, scene.rig)
+    folders.give(catalogue.REFINEMENT, Refinement(method="none", taken=False, reason="it is exact"))
     folders.give_detected(scene.unassociated)
     split = DatasetConfig(rate_hz=6.25, train_share=0.6, val_share=0.2, gap_s=0.3)
     summaries = {

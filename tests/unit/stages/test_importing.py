@@ -154,6 +154,7 @@ def test_a_dry_run_says_which_stages_are_given(site_dir: Path) -> None:
         "Synchronise the cameras",
         "Read the frames",
         "Detect vehicles in 2D",
+        "Refine the calibration by the traffic",
         "Associate views and link over time",
         "Split in time",
     ]
@@ -161,7 +162,7 @@ def test_a_dry_run_says_which_stages_are_given(site_dir: Path) -> None:
 
 def test_the_published_method_is_trained_and_evaluated_on_the_hand_labels(dataset: Path, site_dir: Path) -> None:
     output = run(site_dir, "--until", "evaluate")
-    assert output.count("given") >= 6
+    assert output.count("given") >= 7
     made = {path.name.split("-")[0]: path for path in (site_dir / "outputs").glob("*-*")}
     assert set(made) == {"calibrate", "lift", "finetune", "evaluate"}
     metrics = ArtifactReader(made).read(catalogue.METRICS)
@@ -170,7 +171,7 @@ def test_the_published_method_is_trained_and_evaluated_on_the_hand_labels(datase
     assert metrics.labelled_instants.in_test_part == 4
     labelled = [i for i in WibamDataset().read(dataset).labels or () if i.vehicles.time_ns >= 33 * PERIOD_NS]
     assert len(labelled) == 4
-    expected = counted(labelled, ArtifactReader(made).read(catalogue.RIG))
+    expected = counted(labelled, ArtifactReader(made).read(catalogue.CALIBRATED_RIG))
     assert metrics.finetuned is not None and expected > 10
     assert metrics.finetuned.matched + metrics.finetuned.missed == expected
 

@@ -1,0 +1,111 @@
+"""Cameras refined by a few seconds of traffic whose geometry is known, with bodies that are not the catalogue's."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+
+from tests.builders import site_of
+from tests.multiview import crossing
+from tests.stage_folders import StageFolders
+from wibam_core.artifacts import catalogue
+from wibam_core.config import RefineConfig
+from wibam_core.documents.calibration import CalibrationResiduals
+from wibam_core.geometry.se3 import SE3
+from wibam_core.refinement.refine import Refined, refine
+from wibam_core.scene import CameraRig
+from wibam_core.stages import refine as stage
+
+NOTHING_KNOWN = CalibrationResiduals(cameras={})
+FEW = RefineConfig(min_vehicles=8)
+TURNED_DEG = 0.7
+
+
+def turned(rig: CameraRig) -> CameraRig:
+    """Every camera turned by 0.7° about an axis of its own."""
+    rng, cameras = np.random.default_rng(1), {}
+    for name, camera in rig.items():
+        axis = rng.normal(size=3)
+        rotation = cv2.Rodrigues(np.radians(TURNED_DEG) * axis / np.linalg.norm(axis))[0]
+        pose = camera.T_world_cam
+        cameras[name] = replace(camera, T_world_cam=SE3(pose.rotation @ rotation, pose.translation))
+    return CameraRig(cameras)
+
+
+def off_deg(rig: CameraRig, truth: CameraRig) -> list[float]:
+    """By how much each camera is turned against the truth."""
+    between = [rig[name].T_world_cam.rotation.T @ truth[name].T_world_cam.rotation for name in truth]
+    return [float(np.degrees(np.linalg.norm(cv2.Rodrigues(rotation)[0]))) for rotation in between]
+
+
+@pytest.fixture(scope="module")
+def refined() -> Refined:
+    scene = crossing()
+    return refine(scene.unassociated, turned(scene.rig), NOTHING_KNOWN, FEW)
+
+
+def test_turned_cameras_are_turned_back(refined: Refined) -> None:
+    truth = crossing().rig
+    assert refined.document.taken
+    assert max(off_deg(refined.rig, truth)) < 0.35 * TURNED_DEG
+    assert all(np.linalg.norm(refined.rig[name].centre_m - truth[name].centre_m) < 0.1 for name in truth)
+
+
+def test_what_was_changed_is_said(refined: Refined) -> None:
+    document = refined.document
+    assert document.held_out is not None and document.held_out.after_px < 0.5 * document.held_out.before_px
+    assert all(abs(camera.turned_deg - TURNED_DEG) < 0.35 for camera in document.cameras.values())
+    (caution,) = (caution for caution in refined.cautions if caution.code == "calibration_refined")
+    assert "refine.method=none" in caution.hint
+    assert set(caution.details) == set(document.cameras)
+
+
+def test_the_stated_standard_deviations_hold_the_errors(refined: Refined) -> None:
+    truth = crossing().rig
+    for name, camera in refined.rig.items():
+        error = cv2.Rodrigues(camera.T_world_cam.rotation.T @ truth[name].T_world_cam.rotation)[0].ravel()
+        sd = np.radians(refined.document.cameras[name].rotation_sd_deg)
+        assert (np.abs(error) < 3 * sd).all()
+        assert (sd < np.radians(RefineConfig().rotation_sd_deg)).all()
+
+
+def test_cameras_that_are_right_stay_to_the_bit_and_an_error_they_may_have_is_stated() -> None:
+    scene = crossing()
+    found = refine(scene.unassociated, scene.rig, NOTHING_KNOWN, FEW)
+    assert not found.document.taken and found.rig is scene.rig and not found.cautions
+    assert found.document.held_out is not None and found.document.held_out.gain < 0.25
+    for matrix in found.document.covariances.values():
+        assert np.linalg.eigvalsh(np.array(matrix)).min() > 0
+
+
+@pytest.mark.parametrize(
+    ("options", "words"),
+    [({"method": "none"}, "none"), ({"min_vehicles": 500}, "fewer than refine.min_vehicles"), ({}, "two cameras")],
+)
+def test_where_nothing_can_be_said_cameras_stay_and_it_is_said_why(options: dict[str, object], words: str) -> None:
+    scene = crossing()
+    instants = scene.unassociated[:30]
+    if not options:  # each camera sees vehicles at instants of its own
+        instants = [
+            replace(one, detections={name: one.detections[name] for name in [tuple(scene.rig)[k % 4]]})
+            for k, one in enumerate(instants)
+        ]
+    found = refine(instants, scene.rig, NOTHING_KNOWN, RefineConfig.model_validate(options))
+    assert found.rig is scene.rig and not found.document.taken
+    assert words in found.document.reason
+
+
+def test_stage_passes_the_rig_on_where_it_is_switched_off(tmp_path: Path) -> None:
+    folders, scene = StageFolders(tmp_path), crossing()
+    folders.give(catalogue.CALIBRATED_RIG, scene.rig)
+    folders.give(catalogue.RESIDUALS, NOTHING_KNOWN)
+    folders.give_detected(scene.unassociated[:2])
+    summary = stage.run(folders.context("refine", site_of()), RefineConfig(method="none"))
+    assert summary["taken"] is False
+    written = folders.read(catalogue.RIG)
+    assert off_deg(written, scene.rig) == [0.0] * len(scene.rig)
+    assert folders.read(catalogue.REFINEMENT).method == "none"

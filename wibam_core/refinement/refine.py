@@ -1,0 +1,178 @@
+"""Calibrations refined from the traffic, and taken only where vehicles that they were not found by fit better."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from wibam_core.association.associate import associate
+from wibam_core.config import AssociateConfig, RefineConfig
+from wibam_core.documents.calibration import CalibrationResiduals
+from wibam_core.documents.refinement import HeldOut, RefinedCamera, Refinement
+from wibam_core.documents.warnings import Caution
+from wibam_core.errors import NoMultiViewVehicles, NoVehicles
+from wibam_core.progress import Progress, part, silent
+from wibam_core.refinement.bundle import Adjusted, adjust
+from wibam_core.refinement.cameras import K1, LOG_FOCAL, POSITION, ROTATION, Prior
+from wibam_core.refinement.prior import known_covariances, prior_of
+from wibam_core.refinement.sightings import Sightings, choose
+from wibam_core.scene import AnnotatedInstant, CameraRig, FloatArray
+
+#: Which boxes are of one vehicle follows from the cameras, and these from the vehicles: so often in turn.
+_ROUNDS = 2
+#: One vehicle in so many judges.
+_HELD_OUT_EVERY = 4
+#: A refined calibration is taken where its gain is at least this many standard deviations, too.
+_CERTAIN_SD = 2.0
+#: Edges that are off by more than this many standard deviations tell no more of a calibration.
+_CLIP_SD = 4.0
+#: A clock that seems to be off by more than this is worth a word, ms.
+_LATE_MS = 25.0
+
+
+@dataclass(frozen=True, eq=False)
+class Refined:
+    """The cameras to go on with, what was found, and what a person should know of it."""
+
+    rig: CameraRig
+    document: Refinement
+    cautions: tuple[Caution, ...] = ()
+
+
+def refine(
+    instants: Sequence[AnnotatedInstant],
+    rig: CameraRig,
+    residuals: CalibrationResiduals,
+    config: RefineConfig,
+    progress: Progress = silent,
+) -> Refined:
+    """Refine cameras by the road users that several of them see.
+
+    Args:
+        instants: in order of time, with detections; their vehicles are ignored.
+        rig: the cameras as calibrated.
+        residuals: of that calibration; its covariances hold the cameras where the traffic says little.
+        config: whether, what, and when the result is taken.
+        progress: told now and then.
+    """
+    known = known_covariances(rig, residuals)
+    if config.method == "none":
+        return _unchanged(rig, config, "refine.method is none", known)
+    if rig.views:
+        return _unchanged(rig, config, "cameras with wide lenses are not refined", known)
+    if len(rig) < 2:
+        return _unchanged(rig, config, "there is one camera alone", known)
+    prior, found = prior_of(rig, residuals, config), None
+    poses = {camera_id: matrix[:6, :6] for camera_id, matrix in zip(rig, prior.covariance, strict=True)}
+    for number in range(_ROUNDS):
+        own = part(progress, number / _ROUNDS, (number + 1) / _ROUNDS)
+        current = rig if found is None else found.rig
+        try:
+            associated = associate(instants, current, AssociateConfig(), part(own, 0.0, 0.4), poses)
+        except (NoVehicles, NoMultiViewVehicles) as error:
+            return _unchanged(rig, config, error.message, known)
+        sightings = choose(associated, current)
+        if sightings.vehicle_count < config.min_vehicles:
+            seen = f"{sightings.vehicle_count} moving vehicles were seen by several cameras"
+            return _unchanged(rig, config, f"{seen}, fewer than refine.min_vehicles ({config.min_vehicles})", known)
+        own(0.4, f"adjusting cameras to {sightings.vehicle_count} vehicles")
+        held_out = np.arange(sightings.vehicle_count) % _HELD_OUT_EVERY == _HELD_OUT_EVERY - 1
+        found = adjust(sightings.of_vehicles(~held_out), prior, found, clock_sd_s=config.clock_sd_s)
+        poses = dict(zip(rig, found.covariance[:, :6, :6], strict=True))
+    assert found is not None
+    judged = _judged(sightings.of_vehicles(held_out), rig, found.rig, config)
+    progress(1.0, "refined" if _is_better(judged, config) else "kept as calibrated")
+    return _result(rig, found, judged, sightings.of_vehicles(~held_out), config)
+
+
+def _unchanged(rig: CameraRig, config: RefineConfig, reason: str, known: dict[str, FloatArray]) -> Refined:
+    covariances = {camera_id: matrix.tolist() for camera_id, matrix in known.items()}
+    return Refined(rig, Refinement(method=config.method, taken=False, reason=reason, covariances=covariances))
+
+
+def _judged(sightings: Sightings, before: CameraRig, after: CameraRig, config: RefineConfig) -> HeldOut:
+    """How well vehicles fit through cameras that were not refined by them."""
+    errors, medians_px = [], []
+    for rig in (before, after):
+        still = Prior(rig, np.zeros((len(rig), 0, 0)))
+        residuals_px = adjust(sightings, still, clock_sd_s=config.clock_sd_s).residuals_px
+        clipped = np.minimum(np.abs(residuals_px) / sightings.problem.edge_sd.numpy(), _CLIP_SD)
+        own = [clipped[sightings.vehicles == k] for k in range(sightings.vehicle_count)]
+        errors.append([np.sqrt(np.nanmean(np.square(one))) if np.isfinite(one).any() else np.nan for one in own])
+        medians_px.append(float(np.nanmedian(np.abs(residuals_px))))
+    ratio = np.log(np.array(errors[1]) / np.array(errors[0]))
+    ratio = ratio[np.isfinite(ratio)]
+    return HeldOut(
+        vehicles=len(ratio),
+        before_px=medians_px[0],
+        after_px=medians_px[1],
+        gain=float(-np.expm1(ratio.mean())),
+        gain_sd=float(ratio.std(ddof=1) / np.sqrt(len(ratio))),
+    )
+
+
+def _is_better(judged: HeldOut, config: RefineConfig) -> bool:
+    return judged.gain >= config.least_gain and judged.gain >= _CERTAIN_SD * judged.gain_sd
+
+
+def _result(rig: CameraRig, found: Adjusted, judged: HeldOut, sightings: Sightings, config: RefineConfig) -> Refined:
+    taken = _is_better(judged, config)
+    cameras, covariances = {}, {}
+    late_ms = 1e3 * (found.late_s - found.late_s.mean())
+    for number, camera_id in enumerate(rig):
+        change, matrix = found.changes[number], found.covariance[number]
+        sd = np.sqrt(np.diagonal(matrix))
+        cameras[camera_id] = RefinedCamera(
+            turned_deg=float(np.degrees(np.linalg.norm(change[ROTATION]))),
+            moved_m=float(np.linalg.norm(change[POSITION])),
+            focal_change=float(np.expm1(change[LOG_FOCAL])) if len(change) > LOG_FOCAL else None,
+            k1_change=float(change[K1]) if len(change) > K1 else None,
+            late_ms=float(late_ms[number]),
+            rotation_sd_deg=np.degrees(sd[ROTATION]).tolist(),
+            position_sd_m=sd[POSITION].tolist(),
+        )
+        # a camera that stays although the traffic would have it elsewhere is off by that as well
+        off = np.zeros(6) if taken else change[:6]
+        covariances[camera_id] = (matrix[:6, :6] + np.outer(off, off)).tolist()
+    errors = f"from {judged.before_px:.2f} to {judged.after_px:.2f} px at the median"
+    of = f"of {judged.vehicles} vehicles that were held out"
+    change_words = (
+        f"the reprojection error {of} went {errors}, by {100 * judged.gain:.0f} ± {100 * judged.gain_sd:.0f} %"
+    )
+    document = Refinement(
+        method=config.method,
+        taken=taken,
+        reason=change_words if taken else f"{change_words}, too little to change a calibration for",
+        vehicles=sightings.vehicle_count,
+        sightings=len(sightings),
+        held_out=judged,
+        cameras=cameras,
+        covariances=covariances,
+    )
+    cautions = [_changed_caution(cameras, change_words)] if taken else []
+    cautions += [_late_caution(name, camera) for name, camera in cameras.items() if abs(camera.late_ms) > _LATE_MS]
+    return Refined(found.rig if taken else rig, document, tuple(cautions))
+
+
+def _changed_caution(cameras: dict[str, RefinedCamera], change: str) -> Caution:
+    by_camera = ", ".join(f"{name} by {one.turned_deg:.2f}° and {one.moved_m:.2f} m" for name, one in cameras.items())
+    return Caution(
+        code="calibration_refined",
+        message=f"Road users that several cameras see contradict the calibration, which was corrected: {by_camera}; "
+        f"{change}",
+        hint="Check the points of the calibration, and whether a camera was moved after they were taken; with "
+        "refine.method=none it is used as it was given.",
+        details={name: {"turned_deg": one.turned_deg, "moved_m": one.moved_m} for name, one in cameras.items()},
+    )
+
+
+def _late_caution(camera_id: str, camera: RefinedCamera) -> Caution:
+    return Caution(
+        code="clock_contradicted",
+        message=f"Camera {camera_id}: by the ways of the vehicles, its clock is off by {camera.late_ms:.0f} ms from "
+        "what synchronisation says",
+        hint="Look at the light changes that it was synchronised by.",
+        details={"camera": camera_id, "late_ms": camera.late_ms},
+    )
