@@ -230,13 +230,14 @@ class FinetuneConfig(StageConfig):
         " takes as much longer as an image has more pixels",
     )
     steps: int = Field(1200, ge=1, le=200_000, description="gradient steps in all")
-    batch_size: int = Field(16, ge=1, le=512, description="images per step")
+    batch_size: int = Field(8, ge=1, le=512, description="images per step")
     crop_share: float = Field(
-        0.4,
+        1.0,
         ge=0.1,
         le=1,
         description="of each image, a step sees a window that is so wide and high as this share of it, around a road"
-        " user, or as one that is larger; 1: the whole image; a step takes as much longer as windows have more pixels",
+        " user, or as one that is larger; 1: the whole image. With 0.4, training takes a quarter of the time,"
+        " and ends a little less exact",
     )
     learning_rate: float | None = Field(
         None,

@@ -30,7 +30,7 @@ from wibam_core.synthetic.options import SimulationOptions
 T = TypeVar("T")
 
 #: Options that fit the whole thread into minutes on two cores; the service's own defaults are for real footage.
-_QUICK: dict[str, dict[str, Any]] = {"finetune": {"steps": 220}, "track": {"rate_hz": 5.0}}
+_QUICK: dict[str, dict[str, Any]] = {"finetune": {"steps": 350}, "track": {"rate_hz": 5.0}}
 
 
 def demo(

@@ -1,9 +1,9 @@
 """Windows of images to learn from: most of what a fixed camera sees never shows a road user, and costs as much.
 
-The network is convolutional: what it says about a road user depends on the pixels around it alone, and a window is
-what a camera with another principal point takes. Of a few windows, each at random around a road user of the view, its
-anchor, the one that teaches most is taken; some windows lie anywhere, so that the whole background is learned, too.
-Whoever a window cuts is neither taught nor judged.
+With a share of 1, each window is the whole image. The network is convolutional: what it says about a road user depends
+on the pixels around it alone, and a window is what a camera with another principal point takes. Of a few windows, each
+at random around a road user of the view, its anchor, the one that teaches most is taken; some windows lie anywhere, so
+that the whole background is learned, too. Whoever a window cuts is neither taught nor judged.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ _ANYWHERE_SHARE = 0.1
 _TRIES = 3
 #: What a vehicle in a window counts beside the confidence of its 3D box: it teaches its 2D box in any case.
 _WORTH_WITHOUT_BOX = 0.3
-#: A vehicle is whole in a window that holds this share of its 2D box.
+#: A vehicle is whole in a window that holds this share of what the image holds of its 2D box.
 _WHOLE_SHARE = 0.999
 
 
@@ -97,7 +97,8 @@ def crop(view: LabelledView, window: Window) -> tuple[LabelledView, NDArray[np.i
     shift = np.tile([window.left_px, window.top_px], 2)
     boxes = view.boxes2d - shift
     inside = clipped_to_image(boxes, *size)
-    share = areas_px2(inside) / np.maximum(areas_px2(boxes), 1e-9)
+    shown = clipped_to_image(view.boxes2d, *view.image.shape[1::-1])
+    share = areas_px2(inside) / np.maximum(areas_px2(shown), 1e-9)
     kept = np.flatnonzero(share >= _WHOLE_SHARE)
     ignored = np.concatenate([clipped_to_image(view.ignored - shift, *size), inside[share < _WHOLE_SHARE]])
     rows = slice(window.top_px, window.top_px + window.height_px)

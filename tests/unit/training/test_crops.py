@@ -94,7 +94,7 @@ def test_the_window_that_teaches_most_is_preferred() -> None:
 
 
 def test_a_whole_window_changes_nothing() -> None:
-    view = view_with([(200.0, 150.0, 260.0, 190.0), (400.0, 150.0, 500.0, 190.0)])
+    view = view_with([(200.0, 150.0, 260.0, 190.0), (600.0, 150.0, 700.0, 190.0)])  # the border cuts one
     (window,) = windows([view], 1.0, np.random.default_rng(0))
     part, kept = crop(view, window)
     assert kept.tolist() == [0, 1]
@@ -110,7 +110,7 @@ def batches(tmp_path: Path) -> tuple[Batches, list[SiteView], OtherCameras]:
     site = tiny_site(tmp_path / "frames")
     views = site_views(site.instants, site.frames, site.lifts, site.rig)
     cache = ImageCache(tmp_path / "cache.npy", views, site.frames)
-    config = FinetuneConfig(method="paper", batch_size=4)
+    config = FinetuneConfig(method="paper", batch_size=4, crop_share=0.4)
     return Batches(views, cache.view, config), views, OtherCameras(site.rig)
 
 

@@ -43,7 +43,9 @@ def network() -> SmallMonocular:
 
 
 def options(**values: object) -> FinetuneConfig:
-    return FinetuneConfig.model_validate({"steps": 6, "steps_per_epoch": 2, "batch_size": 3, **values})
+    return FinetuneConfig.model_validate(
+        {"steps": 6, "steps_per_epoch": 2, "batch_size": 3, "crop_share": 0.4, **values}
+    )
 
 
 def assert_equal(one: FinetuneResult, two: FinetuneResult) -> None:
