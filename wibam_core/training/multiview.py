@@ -14,7 +14,9 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from wibam_core.geometry.torch_ops import CameraTensors, corners, giou, tight_boxes, to_camera
+from wibam_core.geometry.box3d import EDGES
+from wibam_core.geometry.projection import EDGE_SHARES
+from wibam_core.geometry.torch_ops import CameraTensors, corners, giou, project_camera_points
 from wibam_core.models.frames import INPUT_WIDTH_PX, prepare_camera
 from wibam_core.scene import CameraRig
 from wibam_core.training.augment import mirror_camera
@@ -65,17 +67,33 @@ def multiview_loss(boxes: Tensor, views: OtherViews) -> Tensor:
     if not bool(boxes.isfinite().all()):
         return boxes.sum() * torch.nan
     cameras = views.cameras[views.camera]
-    paired = boxes[views.vehicle]
-    usable = to_camera(cameras, corners(paired))[..., 2].amin(dim=-1) >= NEAR_M
-    cameras, paired, given = cameras[usable], paired[usable], views.boxes[usable]
-    vehicle = views.vehicle[usable]
-    projected, in_view = tight_boxes(cameras, paired)
+    points = corners(boxes)[views.vehicle] @ cameras.rotation.transpose(1, 2) + cameras.translation[:, None]
+    usable = points.detach()[..., 2].amin(dim=1) >= NEAR_M
+    vehicle, given = views.vehicle, views.boxes
+    if not bool(usable.all()):
+        cameras, points, vehicle, given = cameras[usable], points[usable], vehicle[usable], given[usable]
+    projected, in_view = _outlines(cameras, points)
     loss = torch.where(in_view, 1 - giou(projected, given), torch.zeros_like(given[:, 0]))
     zeros = boxes.new_zeros(len(boxes))
     total = zeros.index_add(0, vehicle, loss)
     count = zeros.index_add(0, vehicle, in_view.to(boxes.dtype))
     seen = count > 0
     return (total / count.clamp_min(1)).sum() / seen.sum().clamp_min(1)
+
+
+def _outlines(cameras: CameraTensors, points: Tensor) -> tuple[Tensor, Tensor]:
+    """As `wibam_core.geometry.torch_ops.tight_boxes`, of corners (P, 8, 3) in front of their cameras (P,): none is cut.
+
+    Where no lens bends edges their ends are all that counts.
+    """
+    if bool((cameras.dist != 0).any()):
+        start, end = points[:, EDGES[:, 0].tolist()], points[:, EDGES[:, 1].tolist()]
+        points = torch.cat([start + share * (end - start) for share in EDGE_SHARES[:-1].tolist()] + [end], dim=1)
+    uv = project_camera_points(cameras, points)
+    low, high, limits = uv.amin(dim=1), uv.amax(dim=1), cameras.size - 0.5
+    in_view = ((low < limits) & (high > -0.5)).all(dim=1)
+    bounds = torch.full_like(limits, -0.5), limits
+    return torch.cat([low.clamp(*bounds), high.clamp(*bounds)], dim=1), in_view
 
 
 class OtherCameras:
