@@ -181,6 +181,11 @@ def results(job_id: Id, read_only: ReadOnly) -> HTMLResponse:
     return page("results", read_only=read_only, job=job_id)
 
 
+@router.get("/compare", dependencies=SignedIn)
+def compare() -> HTMLResponse:
+    return page("compare")
+
+
 @router.get("/sites", dependencies=SignedIn)
 def sites() -> HTMLResponse:
     return page("sites")

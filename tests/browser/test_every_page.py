@@ -18,6 +18,7 @@ PAGES = {
     "results": lambda site, job: f"/jobs/{job}/results",
     "player": lambda site, job: f"/jobs/{job}/player",
     "conflicts": lambda site, job: f"/jobs/{job}/conflicts",
+    "compare": lambda site, job: "/compare",
     "sites": lambda site, job: "/sites",
     "site": lambda site, job: f"/sites/{site}",
     "camera": lambda site, job: f"/sites/{site}/cameras/cam1",
@@ -27,7 +28,8 @@ LARGEST_BYTES = 300_000
 
 @pytest.fixture(scope="module")
 def ids(api: LiveApi) -> tuple[str, str]:
-    """A site, and a finished job of another."""
+    """A site, and a finished job of another; there are two such jobs."""
+    finished_job(api, b"another recording")
     return api.site(), finished_job(api)
 
 
@@ -113,3 +115,17 @@ def test_conflicts_are_reviewed_and_open_the_player(signed_in: Visit, api: LiveA
     [review] = api.http.get(f"/v1/jobs/{job}/conflicts/reviews").json()
     assert (review["verdict"], review["note"]) == ("confirmed", "seen twice")
     signed_in.complaints.clear()  # the job has no rig: the console names its address
+
+
+def test_two_jobs_stand_side_by_side(signed_in: Visit, api: LiveApi, ids: tuple[str, str]) -> None:
+    one = ids[1]
+    site = api.http.get(f"/v1/jobs/{one}").json()["site_id"]
+    other = api.http.post(f"/v1/sites/{site}/jobs", json={"name": "longer", "options": {"finetune": {"steps": 77}}})
+    page = signed_in.open(f"/compare?a={one}&b={other.json()['id']}")
+    row = page.locator("tr", has=page.get_by_role("rowheader", name="finetune.steps"))
+    default = api.http.get("/v1/options").json()["defaults"]["finetune"]["steps"]
+    row.wait_for()
+    assert row.locator("td").all_inner_texts() == [str(default), "77"]
+    page.get_by_role("heading", name="B: longer").wait_for()
+    signed_in.picture("compare")
+    signed_in.complaints.clear()  # the console names results that the second has yet to make

@@ -72,7 +72,9 @@ export function drawGraph(place, stages) {
     const a = boxes.get(from), b = boxes.get(to);
     const x0 = a.offsetLeft + a.offsetWidth, y0 = a.offsetTop + a.offsetHeight / 2, x1 = b.offsetLeft, y1 = b.offsetTop + b.offsetHeight / 2;
     if (x1 < x0) { // down to the next band
-      const between = b.offsetTop - BAND_GAP_PX / 2;
+      const band = Math.floor((depth.get(to) ?? 0) / across);
+      const tops = [...boxes].filter(([name]) => Math.floor((depth.get(name) ?? 0) / across) === band).map(([, node]) => node.offsetTop);
+      const between = Math.min(...tops) - BAND_GAP_PX / 2;
       lines.append(s("path", { d: `M${x0} ${y0} h10 V${between} H${x1 - 10} V${y1} H${x1}` }));
       continue;
     }
