@@ -97,6 +97,10 @@ class CalibrationError(InputError):
     default_hint = "Give at least 6 well-spread correspondences per camera, in metres and in pixels of the recording."
 
 
+class UnknownClock(InputError):
+    """No witness says how a camera's clock runs against the others'."""
+
+
 class NoSignalChange(InputError):
     code = "no_signal_change"
     default_hint = (

@@ -20,6 +20,8 @@ Array = NDArray[np.float64]
 
 #: Lamps need some time to light up, and rows of a frame are exposed one after another.
 _SLACK_S = 0.02
+#: An offset found otherwise decides for one that is as near as this.
+_DECIDED_S = 1.0
 #: Other offsets that are told, beside all that explain the changes as well as the one that is taken.
 _WORSE_TOLD = 4
 
@@ -75,15 +77,22 @@ class Alignment:
     Attributes:
         taken: the clock that is believed.
         alternatives: others under which a good share meets, best first.
+        decided: whether another witness has chosen among those that do as well.
     """
 
     taken: Offset
     alternatives: tuple[Offset, ...] = ()
+    decided: bool = False
 
     @property
     def is_ambiguous(self) -> bool:
-        """Whether another offset explains the changes as well."""
-        return any(not other.excluded for other in self.alternatives)
+        """Whether another offset explains the changes as well, and nothing else decides."""
+        return not self.decided and any(not other.excluded for other in self.alternatives)
+
+    @property
+    def open_s(self) -> list[float]:
+        """All offsets that the light changes leave open, s."""
+        return [self.taken.offset_s, *(other.offset_s for other in self.alternatives if not other.excluded)]
 
 
 def match_changes(
@@ -92,6 +101,8 @@ def match_changes(
     max_offset_s: float | None = None,
     spans_s: Mapping[str, tuple[float, float]] | None = None,
     near_s: Mapping[str, float] | None = None,
+    *,
+    partial: bool = False,
 ) -> tuple[list[ChangeGroup], dict[str, Alignment]]:
     """Group the changes of all cameras.
 
@@ -101,6 +112,7 @@ def match_changes(
         max_offset_s: of offsets that explain the changes equally well, smaller ones than this are preferred.
         spans_s: camera id -> first and last time of its recording, on its own clock; those of its changes if absent.
         near_s: camera id -> an offset found otherwise, which decides between equally good ones.
+        partial: leave out cameras that share no change with the others.
 
     Returns:
         groups seen by at least two cameras, by time, and the alignment of every camera but the reference.
@@ -121,6 +133,8 @@ def match_changes(
     while waiting:
         found = {c: align(groups, changes[c], joined, spans[c], max_offset_s, (near_s or {}).get(c)) for c in waiting}
         options = {c: alignment for c, alignment in found.items() if alignment is not None}
+        if not options and partial:
+            break
         if not options:
             raise NoSignalChange(
                 f"camera {waiting[0]} shares no signal change with the other cameras",
@@ -175,7 +189,8 @@ def align(
     equals = [c for c in (best, *rivals) if c is not taken]
     worse = [c for c in found if c is not best and c not in rivals]
     told = [*((c, False) for c in equals), *((c, True) for c in worse[:_WORSE_TOLD])]
-    return Alignment(_offset(taken, False), tuple(_offset(c, excluded) for c, excluded in told))
+    decided = near_s is not None and abs(taken.offset_s - near_s) < _DECIDED_S
+    return Alignment(_offset(taken, False), tuple(_offset(c, excluded) for c, excluded in told), decided)
 
 
 def _offset(candidate: Candidate, excluded: bool) -> Offset:

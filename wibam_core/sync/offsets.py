@@ -10,7 +10,7 @@ with two to four cameras, worse with eight, where a signal's constant amber time
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -89,6 +89,7 @@ class SyncResult:
         groups: matched changes, by time.
         alignments: per camera but the reference, how its changes met the others'.
         observations: one per camera and matched change.
+        centres_s: camera id -> middle of what its clock was found from, on its own clock.
     """
 
     reference_id: str
@@ -97,6 +98,13 @@ class SyncResult:
     groups: tuple[ChangeGroup, ...]
     alignments: Mapping[str, Alignment]
     observations: tuple[Observation, ...]
+    centres_s: Mapping[str, float] = field(default_factory=dict)
+
+    def sd_s(self, camera_id: str, at_s: float) -> float:
+        """Standard deviation of a camera's mapped time at ``at_s`` on its own clock, s."""
+        error = self.errors[camera_id]
+        since_s = at_s - self.centres_s.get(camera_id, at_s)
+        return float(np.hypot(error.offset_sd_ns / 1e9, since_s * error.drift_sd))
 
     def rms_s(self, camera_id: str) -> tuple[float | None, float | None]:
         """Root mean square delay of a camera to the reference, before and after; None where no change is shared."""
@@ -185,7 +193,9 @@ def solve_clocks(
         clocks[camera_id] = ClockMap(round(offset_s * 1e9), drift + turned)
         errors[camera_id] = ClockError(float(sd[2 * k]) * 1e9, float(sd[2 * k + 1]) * 1e-6)
     timed = tuple(_retimed(group, clocks) for group in groups)
-    return SyncResult(reference_id, clocks, errors, timed, alignments, _observe(timed, clocks, reference_id))
+    observations = _observe(timed, clocks, reference_id)
+    centres_s = dict(zip(others, system.centre_s.tolist(), strict=True))
+    return SyncResult(reference_id, clocks, errors, timed, alignments, observations, centres_s)
 
 
 def _system(
