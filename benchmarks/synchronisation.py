@@ -81,7 +81,8 @@ def simulated(options: Options, seed: int, *, with_traffic: bool = True) -> dict
     layout = make_layout(seed)
     program = SignalProgram(cycle_s=options.cycle_s, offset_s=float(rng.uniform(0, options.cycle_s)))
     starts = rng.uniform(0, options.max_offset_s, 4)
-    traffic = simulate_traffic(layout, seed, options.seconds + options.max_offset_s + 2.0, program)
+    duration_s = options.seconds + options.max_offset_s + 2.0
+    traffic = simulate_traffic(layout, seed, duration_s, program) if with_traffic else None
     cameras = site_cameras(layout, np.random.default_rng([seed, 72]), 4, _SIZE_PX, False, (6.0, 10.0))
     events = _events(program, options, starts.max() + options.seconds, rng)
     found = {}
@@ -93,7 +94,7 @@ def simulated(options: Options, seed: int, *, with_traffic: bool = True) -> dict
         own = np.random.default_rng([seed, 73, k])
         changes = _seen_changes(f"cam{k + 1}", clock, times_ns, fps, events, options, own)
         paths: list[GroundPath] = []
-        if with_traffic:
+        if traffic is not None:
             step = max(round(fps / options.rate_hz), 1)
             seen = list(_detections(f"cam{k + 1}", camera, clock, times_ns[::step], traffic, options, own))
             paths = ground_paths(seen, _misplaced(camera, options, own))

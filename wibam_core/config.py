@@ -27,8 +27,14 @@ class PreflightConfig(StageConfig):
 
 
 class SyncConfig(StageConfig):
-    method: Literal["signals", "none"] = Field(
-        "signals", description="'signals': from traffic lights in view; 'none': the recordings share a clock"
+    method: Literal["auto", "signals", "traffic", "both", "none"] = Field(
+        "auto",
+        description="'signals': from traffic lights in view; 'traffic': from road users that two cameras see; 'both';"
+        " 'auto': from the lights, and from the traffic where a camera shares none or where lights repeat themselves;"
+        " 'none': the recordings share a clock",
+    )
+    traffic_rate_hz: float = Field(
+        5.0, gt=0, le=60, description="frames a second in which road users are looked for to synchronise"
     )
     min_confidence: float = Field(0.3, ge=0, le=1, description="signal changes below this are not used")
     min_lit_share: float = Field(

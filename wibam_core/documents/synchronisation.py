@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from typing import Literal
 
+from pydantic import Field
+
 from wibam_core.documents.base import Document
 
 
@@ -82,12 +84,42 @@ class CameraClock(Document):
     """Another offset explains what is seen as well."""
     alternatives: list[Alternative]
     """Other offsets that were considered, the likeliest first."""
+    road_users: int = 0
+    """Road users that it was found to share with another camera: the most with any one."""
+    decided_by_traffic: bool = False
+    """The traffic has chosen among offsets that the lights leave open, or the camera shares no light change."""
+
+
+class TrafficPair(Document):
+    """What the road users say of two cameras' clocks: ``first = second + offset_s + drift * second``."""
+
+    first: str
+    second: str
+    offset_s: float
+    drift_ppm: float
+    matched: int
+    """Road users that both see under this offset."""
+    could: float
+    """Road users that both could see, mean of both sides."""
+    score: float
+    """The share of these that both see."""
+    clear: bool
+    """No other offset explains as much, and enough road users meet; only then is it used."""
+    sd_s: float | None
+    drift_sd_ppm: float | None
+    residual_s: float | None
+    """The pair's own answer minus that of all witnesses together, where its own is most exact."""
+    alternatives: list[Alternative]
 
 
 class Synchronisation(Document):
-    """The light changes of all cameras and what was made of them; without any where the recordings share a clock."""
+    """What witnesses say and what was made of it; nothing where the recordings share a clock.
 
-    method: Literal["signals", "none"]
+    Of the published scheme's two signals, green to amber measures and amber to red synchronises; here all changes do
+    both, each group says which it is, and so does ``rms_after_by_change_s``.
+    """
+
+    method: Literal["signals", "traffic", "both", "none"]
     reference: str
     """Id of the camera whose clock is the result's clock."""
     changes: dict[str, list[SeenChange]]
@@ -95,3 +127,10 @@ class Synchronisation(Document):
     groups: list[ChangeGroup]
     cameras: dict[str, CameraClock]
     """By camera id."""
+    traffic: list[TrafficPair] = Field(default_factory=list)
+    """Every two cameras that road users may connect; empty where the traffic was not asked."""
+    disagreeing: list[str] = Field(default_factory=list)
+    """Cameras whose light changes say otherwise than the traffic, and were left out."""
+    rms_after_by_change_s: dict[str, float] = Field(default_factory=dict)
+    """Kind of change, "green to amber" the published measurement and "amber to red" the published synchronisation
+    signal -> root mean square of the residuals of its observations."""

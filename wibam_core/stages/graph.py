@@ -152,8 +152,8 @@ _SPECS = (
         asset_checks=frozenset({"formats.labels", "networks.registry"}),
         checked_options=_of_network,
     ),
-    StageSpec("sync", "Synchronise the cameras", (catalogue.PROBE,), _signals, reads_recordings=True),
     StageSpec("calibrate", "Calibrate the cameras", (), _calibration),
+    StageSpec("sync", "Synchronise the cameras", (catalogue.PROBE, catalogue.CALIBRATED_RIG), _signals, reads_recordings=True),
     StageSpec(
         "frames",
         "Read the frames",

@@ -3,24 +3,26 @@
 from __future__ import annotations
 
 import threading
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
 from numpy.typing import NDArray
 
-from wibam_core.artifacts.catalogue import CHANGES, CLOCKS, PROBE
+from wibam_core.artifacts.catalogue import CALIBRATED_RIG, CHANGES, CLOCKS, PROBE
 from wibam_core.config import SyncConfig
+from wibam_core.documents.recordings import VideoInfo
 from wibam_core.documents.synchronisation import Synchronisation
 from wibam_core.errors import MissingCamera, NoSignalChange
 from wibam_core.formats.clocks import Clocks
-from wibam_core.progress import Progress
+from wibam_core.progress import Progress, part
 from wibam_core.scene import ClockMap, SignalChange
 from wibam_core.site import SiteCamera
 from wibam_core.stages.base import StageContext, Summary
+from wibam_core.stages.passing import passing
 from wibam_core.sync.changes import detect_changes
-from wibam_core.sync.document import ambiguities, doubts, sync_document
-from wibam_core.sync.offsets import estimate_clocks
+from wibam_core.sync.document import LEAST_SHARE, ambiguities, doubts, sync_document
+from wibam_core.sync.witnesses import Synchronised, synchronise
 from wibam_core.video.decode import decode
 
 Frame = tuple[int, NDArray[np.uint8]]
@@ -33,8 +35,9 @@ def run(context: StageContext, config: SyncConfig) -> Summary:
     """Write `CLOCKS` and `CHANGES`.
 
     Raises:
-        NoSignalChange: naming a camera without a signal region, without a change in view, without one in common, or
-            whose changes mostly meet none under any offset.
+        NoSignalChange: the traffic is not asked, and a camera has no signal region, sees no change or none in common
+            with others, or its changes mostly meet none under any offset.
+        UnknownClock: neither lights nor traffic connect a camera with the others.
         MissingCamera: if a camera has no recording.
     """
     if config.method == "none":
@@ -43,35 +46,84 @@ def run(context: StageContext, config: SyncConfig) -> Summary:
         context.write(CHANGES, Synchronisation(method="none", reference=reference, changes={}, groups=[], cameras={}))
         return {"method": "none"}
 
-    changes = _detect_all(context, config)
-    confident = {
-        camera_id: [c for c in seen if c.confidence >= config.min_confidence] for camera_id, seen in changes.items()
-    }
-    spans_s = {c: (info.first_ns / 1e9, info.last_ns / 1e9) for c, info in context.read(PROBE).cameras.items()}
-    result = estimate_clocks(confident, context.site.camera_ids[0], config.max_offset_s, spans_s)
-    document = sync_document(changes, result)
+    for camera_id in context.site.camera_ids:
+        if camera_id not in context.recordings:
+            raise MissingCamera(f"there is no recording for camera {camera_id}", camera=camera_id)
+    infos = {camera_id: context.read(PROBE).cameras[camera_id] for camera_id in context.site.camera_ids}
+    changes: dict[str, list[SignalChange]] = {}
+    if config.method != "traffic":
+        whole = config.method == "signals"
+        changes = _detect_all(context, config, whole, part(context.progress, 0.0, 1.0 if whole else 0.3))
+    found = None if config.method in ("traffic", "both") else _by_lights(context, config, infos, changes)
+    if found is None:
+        rig = context.read(CALIBRATED_RIG)
+        paths = passing(context, rig, infos, config.traffic_rate_hz, part(context.progress, 0.3, 1.0))
+        found = synchronise(
+            _spans_s(infos),
+            context.site.camera_ids[0],
+            changes=_confident(changes, config),
+            paths=paths,
+            max_offset_s=config.max_offset_s,
+        )
+    context.progress(1.0)
+    result = found.result
+    document = sync_document(changes, result, found.traffic, found.disagreeing)
     cautions = [*ambiguities(document), *doubts(document, config.max_offset_s)]
     context.write(CLOCKS, Clocks(result.clocks, result.errors))
     context.write(CHANGES, document)
     context.warn(*cautions)
     cameras = {camera_id: clock.model_dump() for camera_id, clock in document.cameras.items()}
-    return {"method": "signals", "matched_changes": len(result.groups), "cameras": cameras}
+    return {"method": document.method, "matched_changes": len(result.groups), "cameras": cameras}
 
 
-def _detect_all(context: StageContext, config: SyncConfig) -> dict[str, list[SignalChange]]:
-    cameras = context.site.cameras
+def _by_lights(
+    context: StageContext,
+    config: SyncConfig,
+    infos: Mapping[str, VideoInfo],
+    changes: Mapping[str, Sequence[SignalChange]],
+) -> Synchronised | None:
+    """The lights' answer; None where the traffic is to be asked, since the lights leave something open."""
+    reference = context.site.camera_ids[0]
+    confident = _confident(changes, config)
+    if config.method == "signals":
+        return synchronise(_spans_s(infos), reference, changes=confident, max_offset_s=config.max_offset_s)
+    if any(not confident.get(camera_id) for camera_id in infos):
+        return None
+    try:
+        found = synchronise(_spans_s(infos), reference, changes=confident, max_offset_s=config.max_offset_s)
+    except NoSignalChange:
+        return None
+    doubtful = found.is_ambiguous or any(one.taken.share < LEAST_SHARE for one in found.result.alignments.values())
+    return None if doubtful else found
+
+
+def _confident(changes: Mapping[str, Sequence[SignalChange]], config: SyncConfig) -> dict[str, list[SignalChange]]:
+    return {
+        camera_id: [c for c in seen if c.confidence >= config.min_confidence] for camera_id, seen in changes.items()
+    }
+
+
+def _spans_s(infos: Mapping[str, VideoInfo]) -> dict[str, tuple[float, float]]:
+    return {camera_id: (info.first_ns / 1e9, info.last_ns / 1e9) for camera_id, info in infos.items()}
+
+
+def _detect_all(
+    context: StageContext, config: SyncConfig, whole: bool, listener: Progress
+) -> dict[str, list[SignalChange]]:
+    """Changes by camera; with ``whole`` every camera must have a signal region, else those without are left out."""
+    cameras = [camera for camera in context.site.cameras if whole or camera.signals]
     for camera in cameras:
         if not camera.signals:
             raise NoSignalChange(
                 f"camera {camera.id} has no signal region",
-                hint="Draw a region around a signal head in this camera, or set sync.method to 'none'.",
+                hint="Draw a region around a signal head in this camera, or set sync.method to 'auto' or 'traffic'.",
                 camera=camera.id,
             )
-        if camera.id not in context.recordings:
-            raise MissingCamera(f"there is no recording for camera {camera.id}", camera=camera.id)
+    if not cameras:
+        return {}
     recorded = context.read(PROBE).cameras
     ends_ns = {camera.id: (recorded[camera.id].first_ns, recorded[camera.id].last_ns) for camera in cameras}
-    progress = _SharedProgress(context.progress, ends_ns)
+    progress = _SharedProgress(listener, ends_ns)
 
     def detect(camera: SiteCamera) -> list[SignalChange]:
         size_px = (recorded[camera.id].width_px, recorded[camera.id].height_px)
@@ -79,7 +131,7 @@ def _detect_all(context: StageContext, config: SyncConfig) -> dict[str, list[Sig
         return detect_changes(frames, camera.id, camera.signals, config.min_lit_share)
 
     with ThreadPoolExecutor(_DECODERS) as pool:
-        return dict(zip(context.site.camera_ids, pool.map(detect, cameras), strict=True))
+        return dict(zip(ends_ns, pool.map(detect, cameras), strict=True))
 
 
 class _SharedProgress:

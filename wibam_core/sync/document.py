@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 
+import numpy as np
+
 from wibam_core.documents.synchronisation import (
     Alternative,
     CameraClock,
@@ -11,30 +13,40 @@ from wibam_core.documents.synchronisation import (
     Observation,
     SeenChange,
     Synchronisation,
+    TrafficPair,
 )
 from wibam_core.documents.warnings import Caution
 from wibam_core.errors import NoSignalChange
 from wibam_core.scene import SignalChange
+from wibam_core.sync.matching import Alignment, Offset
 from wibam_core.sync.offsets import SyncResult
+from wibam_core.sync.traffic import TrafficAlignment
 
 #: A clock under which a smaller share of the changes meets is doubtful.
-_MIN_SHARE = 0.5
+LEAST_SHARE = 0.5
 #: Other offsets that a warning names.
 _SAID = 4
 #: Fewer changes than this that could meet say little.
 _FEW = 3.0
 
 
-def sync_document(changes: Mapping[str, Sequence[SignalChange]], result: SyncResult) -> Synchronisation:
+def sync_document(
+    changes: Mapping[str, Sequence[SignalChange]],
+    result: SyncResult,
+    traffic: Sequence[TrafficAlignment] = (),
+    disagreeing: Sequence[str] = (),
+) -> Synchronisation:
     """All changes, which of them were matched, and how far each camera was from the reference before and after.
 
     Args:
         changes: camera id -> all changes seen, also those that were not used.
-        result: what `estimate_clocks` made of the confident ones.
+        result: what was made of the confident ones, and of the traffic.
+        traffic: what road users say of each two cameras.
+        disagreeing: cameras whose light changes were left out, since the traffic says otherwise.
     """
     matched = {(c, change) for group in result.groups for c, change in group.seen.items()}
     return Synchronisation(
-        method="signals",
+        method="signals" if not traffic else "both" if result.groups else "traffic",
         reference=result.reference_id,
         changes={
             camera_id: [seen_change(change, (camera_id, change) in matched) for change in seen]
@@ -60,8 +72,59 @@ def sync_document(changes: Mapping[str, Sequence[SignalChange]], result: SyncRes
             )
             for g, group in enumerate(result.groups)
         ],
-        cameras={camera_id: _camera(camera_id, changes, result) for camera_id in result.clocks},
+        cameras={camera_id: _camera(camera_id, changes, result, traffic) for camera_id in result.clocks},
+        traffic=[_pair(one, result) for one in traffic],
+        disagreeing=list(disagreeing),
+        rms_after_by_change_s=_by_change(result),
     )
+
+
+def _pair(one: TrafficAlignment, result: SyncResult) -> TrafficPair:
+    meeting = one.meeting
+    residual_s = None
+    if meeting is not None:
+        mapped = [
+            int(result.clocks[camera_id].to_reference_ns(round(at_s * 1e9)))
+            for camera_id, at_s in ((one.first_id, meeting.first_s), (one.second_id, meeting.second_s))
+        ]
+        residual_s = (mapped[0] - mapped[1]) / 1e9
+    told = [*((c, False) for c in one.rivals), *((c, True) for c in one.worse[:_SAID])]
+    return TrafficPair(
+        first=one.first_id,
+        second=one.second_id,
+        offset_s=one.taken.offset_s,
+        drift_ppm=1e6 * (one.taken.drift if meeting is None else meeting.drift),
+        matched=one.taken.matched,
+        could=one.taken.could,
+        score=round(one.taken.share, 4),
+        clear=one.is_clear,
+        sd_s=None if meeting is None else meeting.sd_s,
+        drift_sd_ppm=None if meeting is None else 1e6 * meeting.drift_sd,
+        residual_s=residual_s,
+        alternatives=[
+            Alternative(
+                offset_s=c.offset_s,
+                matched=c.matched,
+                could=c.could,
+                score=round(c.share, 4),
+                drift_ppm=1e6 * c.drift,
+                excluded=excluded,
+            )
+            for c, excluded in told
+        ],
+    )
+
+
+def _by_change(result: SyncResult) -> dict[str, float]:
+    squares: dict[str, list[float]] = {}
+    for o in result.observations:
+        group = result.groups[o.group]
+        squares.setdefault(f"{group.before} to {group.after}", []).append(o.residual_s**2)
+    return {kind: float(np.sqrt(np.mean(values))) for kind, values in sorted(squares.items())}
+
+
+def _open_offsets(alignment: Alignment) -> list[Offset]:
+    return [other for other in alignment.alternatives if not other.excluded]
 
 
 def seen_change(change: SignalChange, matched: bool | None = None) -> SeenChange:
@@ -105,7 +168,16 @@ def doubts(document: Synchronisation, max_offset_s: float | None) -> list[Cautio
     Raises:
         NoSignalChange: fewer than half of the changes that could meet do, and under another offset as many.
     """
-    found = []
+    found = [
+        Caution(
+            code="witnesses_disagree",
+            message=f"The light changes of {camera_id} say otherwise than the road users that it shares with others; "
+            "the road users are believed",
+            hint="Check that the same signal id marks heads that show the same phase in that camera.",
+            details={"camera": camera_id},
+        )
+        for camera_id in document.disagreeing
+    ]
     for camera_id, clock in document.cameras.items():
         if clock.score is None or clock.could is None:
             continue
@@ -115,9 +187,11 @@ def doubts(document: Synchronisation, max_offset_s: float | None) -> list[Cautio
             "Check that the same signal id marks heads that show the same phase, that regions hold one head, and that "
             "the recordings' frame rates are right."
         )
-        if clock.score < _MIN_SHARE and clock.ambiguous:
+        if clock.decided_by_traffic:
+            continue
+        if clock.score < LEAST_SHARE and clock.ambiguous:
             raise NoSignalChange(f"{said} meet at best, and as many do with other offsets", hint=hint, **details)
-        if clock.score < _MIN_SHARE:
+        if clock.score < LEAST_SHARE:
             message = f"The clock of {camera_id} is doubtful: {said} meet"
             found.append(Caution(code="doubtful_clock", message=message, hint=hint, details=details))
         elif clock.could < _FEW:
@@ -139,10 +213,17 @@ def _open(clock: CameraClock) -> list[Alternative]:
     return [other for other in clock.alternatives if not other.excluded]
 
 
-def _camera(camera_id: str, changes: Mapping[str, Sequence[SignalChange]], result: SyncResult) -> CameraClock:
+def _camera(
+    camera_id: str,
+    changes: Mapping[str, Sequence[SignalChange]],
+    result: SyncResult,
+    traffic: Sequence[TrafficAlignment],
+) -> CameraClock:
     clock, error = result.clocks[camera_id], result.errors[camera_id]
     rms_before_s, rms_after_s = result.rms_s(camera_id)
     alignment = result.alignments.get(camera_id)
+    shared = [one.taken.matched for one in traffic if one.is_clear and camera_id in (one.first_id, one.second_id)]
+    open_to_lights = alignment is None or bool(_open_offsets(alignment))
     return CameraClock(
         offset_s=clock.offset_ns / 1e9,
         offset_sd_s=error.offset_sd_ns / 1e9,
@@ -166,4 +247,6 @@ def _camera(camera_id: str, changes: Mapping[str, Sequence[SignalChange]], resul
             )
             for other in (alignment.alternatives if alignment else ())
         ],
+        road_users=max(shared, default=0),
+        decided_by_traffic=bool(shared) and camera_id != result.reference_id and open_to_lights,
     )

@@ -45,13 +45,15 @@ _LEAST_MET = 5
 _OWN_SD_M = 0.4
 _SAMPLE_SD_M = 0.25
 _BIAS_SD_M = 1.0
+#: These are of samples whose two places are known so well; of others they are as many times larger or smaller, m.
+_TYPICAL_SD_M = 1.0
 #: Unit of places in the model of the biases, m.
 _PLACE_UNIT_M = 20.0
 _HUBER = 1.5
 #: Standard deviation of the drift before: what is known of crystals comes in where all cameras are solved.
 _DRIFT_SD = 2e-3
-#: No pair of cameras is believed to be better than this, in s.
-_FLOOR_S = 0.002
+#: What is left of the biases in a pair of cameras: measured on simulated sites, s (benchmarks/synchronisation.py).
+_FLOOR_S = 0.05
 
 
 @dataclass(frozen=True, eq=False)
@@ -240,6 +242,7 @@ class _Samples:
         road_user: (N,) ascending numbers.
         second_s: (N,) on the second camera's clock.
         point_m, velocity_mps: (N, 2) means of both. apart_m: (N, 2) the first's minus the second's.
+        sd_m: (N,) standard deviations of the latter.
     """
 
     road_user: NDArray[np.int64]
@@ -247,6 +250,7 @@ class _Samples:
     point_m: Array
     velocity_mps: Array
     apart_m: Array
+    sd_m: Array
 
 
 def _compared(
@@ -256,7 +260,7 @@ def _compared(
     offset_s: float,
     drift: float,
 ) -> _Samples:
-    numbers, times, points, velocities, aparts = [], [], [], [], []
+    numbers, times, points, velocities, aparts, spreads = [], [], [], [], [], []
     for number, (i, j) in enumerate(met):
         one, other = first[i], second[j]
         at_s = (one.times_s - offset_s) / (1 + drift)
@@ -274,9 +278,11 @@ def _compared(
         points.append(0.5 * (one.points_m[inside] + theirs))
         velocities.append(0.5 * (one.velocities_mps[inside] + speeds))
         aparts.append(one.points_m[inside] - theirs)
+        spreads.append(np.hypot(one.sd_m[inside], np.interp(at_s, other.times_s, other.sd_m)))
     if not numbers:
-        return _Samples(np.empty(0, np.int64), np.empty(0), *(np.empty((0, 2)) for _ in range(3)))
-    return _Samples(*(np.concatenate(x) for x in (numbers, times, points, velocities, aparts)))
+        nothing = np.empty((0, 2))
+        return _Samples(np.empty(0, np.int64), np.empty(0), nothing, nothing, nothing, np.empty(0))
+    return _Samples(*(np.concatenate(x) for x in (numbers, times, points, velocities, aparts, spreads)))
 
 
 def _hermite(path: GroundPath, at_s: Array) -> Array:
@@ -305,7 +311,9 @@ def _solve(samples: _Samples, centre_s: float, drift: float) -> tuple[Array, Arr
     turn = 2 * np.arctan2(samples.velocity_mps[:, 1], samples.velocity_mps[:, 0])
     moving = np.minimum(np.linalg.norm(samples.velocity_mps, axis=1) / _LEAST_SPEED_MPS, 1.0)
     axis = np.column_stack([np.ones(n), np.cos(turn) * moving, np.sin(turn) * moving])
-    basis = (np.column_stack([np.ones(n), place])[:, :, None] * axis[:, None, :]).reshape(n, -1)
+    x, y = place.T
+    field = np.column_stack([np.ones(n), x, y, x * x, x * y, y * y])
+    basis = (field[:, :, None] * axis[:, None, :]).reshape(n, -1)
     since = samples.second_s - centre_s
     width = basis.shape[1]
     design = np.zeros((n, 2, 2 + 2 * width))
@@ -315,6 +323,8 @@ def _solve(samples: _Samples, centre_s: float, drift: float) -> tuple[Array, Arr
         design[:, k, 2 + k * width : 2 + (k + 1) * width] = basis
     # first = second + offset: where the first is truly at second + offset + e, it was compared e too early.
     observed = -samples.apart_m
+    scale = (samples.sd_m / _TYPICAL_SD_M)[:, None]
+    design, observed = design / scale[:, :, None], observed / scale
     bounds = np.append(np.flatnonzero(np.diff(samples.road_user, prepend=-1)), n)
     groups = list(pairwise(bounds.tolist()))
     for begin, end in groups:
@@ -335,11 +345,11 @@ def _solve(samples: _Samples, centre_s: float, drift: float) -> tuple[Array, Arr
             A, b = design[begin:end].reshape(-1, 2 + 2 * width), observed[begin:end].reshape(-1)
             bread = bread + weight[g] * A.T @ A
             right = right + weight[g] * A.T @ b
-        x = np.linalg.solve(bread, right)
-        left = observed - design @ x
+        solution = np.linalg.solve(bread, right)
+        left = observed - design @ solution
         rms = np.array([np.sqrt((left[begin:end] ** 2).mean()) for begin, end in groups])
-        scale = max(1.5 * float(np.median(rms)), 1e-6)
-        weight = np.minimum(1.0, (_HUBER * scale / np.maximum(rms, 1e-9)) ** 2)
+        usual = max(1.5 * float(np.median(rms)), 1e-6)
+        weight = np.minimum(1.0, (_HUBER * usual / np.maximum(rms, 1e-9)) ** 2)
     inverse = np.linalg.inv(bread)
     meat = np.diag(prior) * _SAMPLE_SD_M**2
     effective = 0.0
@@ -351,4 +361,4 @@ def _solve(samples: _Samples, centre_s: float, drift: float) -> tuple[Array, Arr
     used = float(np.trace(inverse @ (bread - np.diag(prior))))
     correction = effective / max(effective - min(used / 2, effective - 2), 2.0)
     covariance = inverse @ meat @ inverse * correction
-    return x[:2], covariance[:2, :2]
+    return np.asarray(solution[:2], np.float64), covariance[:2, :2]

@@ -188,4 +188,4 @@ def test_versions_of_libraries_that_compute_belong_to_the_stages_that_import_the
     monkeypatch.setattr("wibam_core.stages.graph.code_digest", code_digest.__wrapped__)  # which remembers nothing
     changed = {stage for stage, spec in STAGES.items() if spec.code() != before[stage]}
     assert changed == {stage for stage in STAGES if "scipy" in imported(stage)[1]}
-    assert {"associate", "lift"} <= changed and not {"sync", "detect", "report"} & changed
+    assert {"associate", "lift"} <= changed and not {"frames", "detect", "report"} & changed

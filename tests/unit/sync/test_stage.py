@@ -42,7 +42,7 @@ def context_of(folder, output, region=(19, 15, 12, 28), told=None):
 
 def test_recordings_are_put_on_one_clock(folder, tmp_path):
     told = []
-    summary = sync.run(context_of(folder, tmp_path, told=told), SyncConfig())
+    summary = sync.run(context_of(folder, tmp_path, told=told), SyncConfig(method="signals"))
     made = StageFolders(tmp_path)
     clocks = made.read(CLOCKS)
     assert list(clocks) == list(STARTS)
@@ -68,15 +68,15 @@ def test_method_none_takes_the_clocks_as_they_are(folder, tmp_path):
 
 def test_a_region_that_shows_no_signal_names_its_camera(folder, tmp_path):
     with pytest.raises(NoSignalChange, match="camera cam1") as error:
-        sync.run(context_of(folder, tmp_path, region=(0, 0, 10, 14)), SyncConfig())
+        sync.run(context_of(folder, tmp_path, region=(0, 0, 10, 14)), SyncConfig(method="signals"))
     assert "region" in error.value.hint
     assert not list((tmp_path / "sync").iterdir())
 
 
 def test_a_camera_without_region_or_recording_is_named(folder, tmp_path):
     with pytest.raises(NoSignalChange, match="cam1 has no signal region"):
-        sync.run(context_of(folder, tmp_path, region=None), SyncConfig())
+        sync.run(context_of(folder, tmp_path, region=None), SyncConfig(method="signals"))
     context = context_of(folder, tmp_path)
     del context.recordings["cam2"]
     with pytest.raises(MissingCamera, match="cam2"):
-        sync.run(context, SyncConfig())
+        sync.run(context, SyncConfig(method="signals"))
