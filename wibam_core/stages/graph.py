@@ -153,7 +153,9 @@ _SPECS = (
         checked_options=_of_network,
     ),
     StageSpec("calibrate", "Calibrate the cameras", (), _calibration),
-    StageSpec("sync", "Synchronise the cameras", (catalogue.PROBE, catalogue.CALIBRATED_RIG), _signals, reads_recordings=True),
+    StageSpec(
+        "sync", "Synchronise the cameras", (catalogue.PROBE, catalogue.CALIBRATED_RIG), _signals, reads_recordings=True
+    ),
     StageSpec(
         "frames",
         "Read the frames",

@@ -5,7 +5,6 @@ from __future__ import annotations
 import threading
 from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
-from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,6 +18,7 @@ from wibam_core.scene import CameraRig, Detections2D
 from wibam_core.stages.base import StageContext
 from wibam_core.sync.paths import GroundPath, ground_paths
 from wibam_core.video.decode import OnePass
+from wibam_core.video.recording import Recording
 
 Image = NDArray[np.uint8]
 
@@ -59,7 +59,7 @@ def passing(
 
 
 def _looked(
-    recording: Path, camera_id: str, rig: CameraRig, info: VideoInfo, rate_hz: float, detector: Detector
+    recording: Recording, camera_id: str, rig: CameraRig, info: VideoInfo, rate_hz: float, detector: Detector
 ) -> Iterator[tuple[float, Detections2D]]:
     """How far the recording is, and what is seen in the next frame, or in the next view that is cut from it."""
     views = rig.views.get(camera_id, ())
