@@ -55,6 +55,17 @@ def test_recordings_go_to_the_cameras_that_their_names_say(
     signed_in.picture("site")
 
 
+def test_chapters_are_one_recording(signed_in: Visit, api: LiveApi, tmp_path: Path) -> None:
+    chapters = [write_recording(tmp_path / name, seconds=1.0) for name in ("GH010042.MP4", "GH020042.MP4", "other.MP4")]
+    site = make_site(signed_in, "chapters")
+    page = signed_in.page
+    page.locator("input#files").set_input_files(chapters)
+    page.locator("#queue li", has_text="done").nth(2).wait_for()
+    page.locator(".camera", has_text="GH010042.MP4, GH020042.MP4").wait_for()
+    found = sorted((item["camera"], item["filename"]) for item in api.http.get(f"/v1/sites/{site}/recordings").json())
+    assert found == [("north", "GH010042.MP4"), ("north", "GH020042.MP4"), ("south", "other.MP4")]
+
+
 def test_an_upload_goes_on_after_a_reload(signed_in: Visit, api: LiveApi, recordings: list[Path]) -> None:
     site = make_site(signed_in, "interrupted")
     page = signed_in.page

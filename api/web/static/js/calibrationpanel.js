@@ -26,6 +26,9 @@ export class CalibrationPanel {
     this.id = description.id;
     const given = description.calibration;
     this.kind = given.kind;
+    /** What this page does not edit stays as it was given, as long as the kind does. */
+    const { kind, K: K_, dist: dist_, lens: lens_, xi: xi_, rvec, tvec, correspondences, ...rest } = given;
+    this.rest = { kind, rest };
     this.matrices = given.kind === "matrices" ? given : null;
     const K = given.K ?? [[this.size[0] * 0.7, 0, (this.size[0] - 1) / 2], [0, this.size[0] * 0.7, (this.size[1] - 1) / 2], [0, 0, 1]];
     this.lens = { fx: K[0][0], fy: K[1][1], skew: K[0][1], cx: K[0][2], cy: K[1][2], dist: given.dist ?? [], lens: given.lens ?? "pinhole", xi: given.xi ?? 0 };
@@ -50,9 +53,10 @@ export class CalibrationPanel {
   document() {
     if (this.kind === "matrices") return this.matrices;
     const correspondences = this.complete().map((point) => ({ pixel: [point.u, point.v], world: [point.x, point.y, point.z] }));
-    if (this.kind === "homography") return { kind: "homography", correspondences };
+    const kept = this.rest.kind === this.kind ? this.rest.rest : {};
+    if (this.kind === "homography") return { ...kept, kind: "homography", correspondences };
     const { fx, fy, skew, cx, cy, dist, lens, xi } = this.lens;
-    return { kind: "pnp", K: [[fx, skew, cx], [0, fy, cy], [0, 0, 1]], dist, lens, xi: lens === "omnidirectional" ? xi : 0, correspondences };
+    return { ...kept, kind: "pnp", K: [[fx, skew, cx], [0, fy, cy], [0, 0, 1]], dist, lens, xi: lens === "omnidirectional" ? xi : 0, correspondences };
   }
 
   complete() {

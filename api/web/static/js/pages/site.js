@@ -4,6 +4,7 @@ import { ask, attempt, byId, fill, h, message, say, sentence } from "../dom.js";
 import { duration, percent, size, when } from "../format.js";
 import { cameraColour, drawView, groundInView, Plan } from "../plan.js";
 import { Camera } from "../projection.js";
+import { recordingName } from "../chapters.js";
 import { UploadQueue } from "../tus.js";
 
 const siteId = document.body.dataset.site ?? "";
@@ -19,7 +20,7 @@ const plan = new Plan(byId("plan"), (view, context) => {
 });
 
 /** @param {string} cameraId */
-const recordingOf = (cameraId) => files.find((file) => file.purpose === "recording" && file.camera === cameraId);
+const recordingsOf = (cameraId) => files.filter((file) => file.purpose === "recording" && file.camera === cameraId).sort((a, b) => a.filename.localeCompare(b.filename));
 
 /** The change under way: the next begins where it ended, so that none is lost. */
 let changing = Promise.resolve();
@@ -37,7 +38,7 @@ function change(change) {
 
 /** @param {any} camera */
 function card(camera) {
-  const file = recordingOf(camera.id), state = solved.get(camera.id), given = camera.calibration;
+  const all = recordingsOf(camera.id), file = all[0], state = solved.get(camera.id), given = camera.calibration;
   const points = given.correspondences?.length;
   const page = `/sites/${siteId}/cameras/${camera.id}`;
   const calibrated = given.kind !== "matrices" && points === 0 ? h("span.chip.caution", null, "not calibrated yet")
@@ -45,18 +46,18 @@ function card(camera) {
   return h("li.card.camera", null,
     file ? h("img", { src: `/v1/sites/${siteId}/recordings/${file.id}/frame${query({ width_px: 480, time_s: 1 })}`, alt: `A frame of camera ${camera.id}`, loading: "lazy" }) : h("div.blank", null, "no recording yet"),
     h("div.row.spread", null, h("h3", null, camera.id), h("span.row", null, record.cameras[0] === camera.id ? h("span.chip", null, "reference") : null, calibrated)),
-    h("p.note", null, file ? `${file.filename} · ${size(file.size_bytes)}` : "", file?.probe ? ` · ${duration(file.probe.duration_s)} · ${file.probe.codec}` : "", ` · ${camera.width_px} × ${camera.height_px} px · ${camera.signals.length} signal region${camera.signals.length === 1 ? "" : "s"}`),
+    h("p.note", null, file ? `${all.map((one) => one.filename).join(", ")} · ${size(all.reduce((sum, one) => sum + one.size_bytes, 0))}` : "", file?.probe ? ` · ${duration(file.probe.duration_s)} · ${file.probe.codec}` : "", ` · ${camera.width_px} × ${camera.height_px} px · ${camera.signals.length} signal region${camera.signals.length === 1 ? "" : "s"}`),
     state?.problem ? h("p.note", null, sentence(state.problem.message), " ", state.problem.hint) : null,
     state?.cautions.map((caution) => h("p.note", null, sentence(caution.message), " ", caution.hint)),
     h("div.row", null, h("a.button", { href: page }, "Calibrate and signals"),
-      file ? h("button.small.quiet", { type: "button", onclick: () => attempt(() => removeFile(file)) }, "Take the recording off") : null,
+      file ? h("button.small.quiet", { type: "button", onclick: () => attempt(() => removeFiles(all)) }, "Take the recording off") : null,
       record.site.cameras.length > 1 ? h("button.small.quiet", { type: "button", onclick: () => attempt(() => removeCamera(camera.id)) }, "Remove the camera") : null));
 }
 
-/** @param {any} file */
-async function removeFile(file) {
-  if (!window.confirm(`Take ${file.filename} off this site? Jobs that were made with it keep it.`)) return;
-  await send("DELETE", `/v1/sites/${siteId}/recordings/${file.id}`);
+/** @param {any[]} all */
+async function removeFiles(all) {
+  if (!window.confirm(`Take ${all.map((file) => file.filename).join(", ")} off this site? Jobs that were made with it keep it.`)) return;
+  for (const file of all) await send("DELETE", `/v1/sites/${siteId}/recordings/${file.id}`);
   await show();
 }
 
@@ -124,12 +125,18 @@ const queue = new UploadQueue((upload) => {
   if (upload.state === "done") attempt(() => arrived(upload));
 });
 
-/** The camera that a file most likely is of: the one whose id its name contains, else the first without a recording. @param {File} file */
+/**
+ * The camera that a file most likely is of: that of another chapter, the one whose id its name contains, else the first
+ * without a recording.
+ * @param {File} file
+ */
 function guess(file) {
+  const chapter = recordingName(file.name), sibling = chapter && queue.uploads.find((upload) => recordingName(upload.file.name) === chapter);
+  if (sibling) return sibling.target.camera ?? "";
   const cameras = /** @type {string[]} */ (record.cameras), name = file.name.toLowerCase();
   const named = [...cameras].sort((a, b) => b.length - a.length).find((id) => name.includes(id.toLowerCase()));
   const taken = new Set(queue.uploads.map((upload) => upload.target.camera));
-  return named ?? cameras.find((id) => !recordingOf(id) && !taken.has(id)) ?? cameras[0];
+  return named ?? cameras.find((id) => !recordingsOf(id).length && !taken.has(id)) ?? cameras[0];
 }
 
 /** @param {File[]} chosen */
@@ -137,15 +144,27 @@ async function add(chosen) {
   await shown; // which camera a file is of is guessed from the site
   for (const file of chosen) {
     const labels = /^labels\.(json|parquet)$/i.test(file.name);
-    queue.add(file, labels ? { site: siteId, purpose: "labels" } : { site: siteId, purpose: "recording", camera: guess(file) });
+    if (labels) { queue.add(file, { site: siteId, purpose: "labels" }); continue; }
+    const camera = guess(file);
+    await list(camera, file.name);
+    queue.add(file, { site: siteId, purpose: "recording", camera });
   }
+}
+
+/** Where a second file is sent to a camera, its recording is of several files, which the site's document lists. @param {string} id @param {string} name */
+async function list(id, name) {
+  const camera = record.site.cameras.find((/** @type {any} */ one) => one.id === id);
+  const sent = queue.uploads.filter((upload) => upload.target.camera === id).map((upload) => upload.file.name);
+  const names = [...new Set([...(camera?.recordings ?? []), ...sent, name])];
+  if (names.length < 2 || names.length === camera?.recordings.length) return;
+  await change((site) => ({ ...site, cameras: site.cameras.map((/** @type {any} */ one) => (one.id === id ? { ...one, recordings: names } : one)) }));
 }
 
 /** A recording says how large its pictures are: until points are set, the camera's description follows it. @param {import("../tus.js").Upload} upload */
 async function arrived(upload) {
   say(`${upload.file.name} has arrived.`);
   files = await get(`/v1/sites/${siteId}/recordings`);
-  const camera = record.site.cameras.find((/** @type {any} */ one) => one.id === upload.target.camera), file = camera && recordingOf(camera.id);
+  const camera = record.site.cameras.find((/** @type {any} */ one) => one.id === upload.target.camera), file = camera && recordingsOf(camera.id)[0];
   if (file) {
     const header = await get(`/v1/sites/${siteId}/recordings/${file.id}/header`);
     const blank = camera.calibration.correspondences?.length === 0 && !camera.signals.length;
@@ -164,6 +183,7 @@ function showQueue() {
     select.addEventListener("change", () => attempt(async () => {
       const camera = /** @type {HTMLSelectElement} */ (select).value;
       queue.remove(upload);
+      await list(camera, upload.file.name);
       queue.add(upload.file, { ...upload.target, camera });
     }));
     const share = upload.file.size ? upload.offset / upload.file.size : 0;
