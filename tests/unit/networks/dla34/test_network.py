@@ -61,7 +61,7 @@ def network() -> DLA34:
 
 def options(**values: object) -> FinetuneConfig:
     return FinetuneConfig.model_validate(
-        {"network": "custom", "steps": 2, "steps_per_epoch": 1, "batch_size": 2} | values
+        {"network": "custom", "steps": 2, "steps_per_epoch": 1, "batch_size": 2, "crop_share": 0.4} | values
     )
 
 
