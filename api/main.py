@@ -11,6 +11,7 @@ from typing import Any
 from fastapi import FastAPI
 from fastapi.openapi.utils import get_openapi
 from starlette.concurrency import run_in_threadpool
+from starlette.middleware.cors import CORSMiddleware
 from starlette.responses import HTMLResponse
 
 from api.docs_page import DOCS_PAGE
@@ -20,7 +21,7 @@ from api.routes import exports, jobs, labels, looks, results, reviews, scene, si
 from api.security import Gate
 from api.services import Services
 from api.sessions import SESSION_COOKIE
-from api.tus import TusHeaders
+from api.tus import TUS_RESPONSE_HEADERS, TusHeaders
 from api.web.pages import add_pages
 from wibam_core import __version__
 from wibam_core.adapters.ownership import claim_folder
@@ -93,6 +94,14 @@ def create_app(settings: ServiceSettings) -> FastAPI:
     app.openapi = lambda: _openapi(app)  # type: ignore[method-assign]
     app.add_middleware(Gate, token_sha256=settings.token_sha256)
     app.add_middleware(TusHeaders)
+    if settings.cors_origins:
+        app.add_middleware(
+            CORSMiddleware,
+            allow_origins=settings.cors_origins,
+            allow_methods=["GET", "HEAD", "POST", "PUT", "PATCH", "DELETE"],
+            allow_headers=["*"],
+            expose_headers=["Location", "ETag", "Retry-After", "Content-Disposition", *TUS_RESPONSE_HEADERS],
+        )
     return app
 
 

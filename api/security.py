@@ -19,6 +19,8 @@ from wibam_core.errors import InputError, NotFound, TooLarge, Unauthorised, Wiba
 
 _PROTECTED = "/v1/"
 _UPLOADS = "/v1/uploads/"
+#: Of pieces of uploads, as tus has it.
+UPLOAD_CONTENT_TYPE = "application/offset+octet-stream"
 _JOBS = "/v1/jobs/"
 _SAFE = ("GET", "HEAD")
 
@@ -58,7 +60,7 @@ class Gate:
         if (senseless := _nul(scope)) is not None:
             await problem(senseless)(scope, receive, send)
             return
-        if scope["method"] == "PATCH" and scope["path"].startswith(_UPLOADS):
+        if _brings_a_file(scope, headers):
             await self._app(scope, receive, send)
             return
         length = headers.get("content-length", "")
@@ -115,6 +117,14 @@ class BodyTooLarge(HTTPException):
     def __init__(self, error: TooLarge) -> None:
         super().__init__(413, error.message)
         self.hint = error.hint
+
+
+def _brings_a_file(scope: Scope, headers: Headers) -> bool:
+    """Whether the body is a piece of an upload, which has bounds of its own."""
+    if scope["method"] == "PATCH":
+        return bool(scope["path"].startswith(_UPLOADS))
+    kind = headers.get("content-type", "").split(";")[0].strip().lower()
+    return scope["method"] == "POST" and scope["path"] == _UPLOADS.rstrip("/") and kind == UPLOAD_CONTENT_TYPE
 
 
 def _nul(scope: Scope) -> WibamError | None:

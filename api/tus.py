@@ -2,16 +2,27 @@
 
 from __future__ import annotations
 
-from starlette.datastructures import MutableHeaders
+from starlette.datastructures import Headers, MutableHeaders
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
 TUS_VERSION = "1.0.0"
-EXTENSIONS = ("creation", "expiration", "termination", "checksum")
+EXTENSIONS = ("creation", "creation-with-upload", "expiration", "termination", "checksum")
+TUS_RESPONSE_HEADERS = (
+    "Tus-Resumable", "Tus-Version", "Tus-Extension", "Tus-Checksum-Algorithm",
+    "Upload-Offset", "Upload-Length", "Upload-Expires", "Upload-Metadata",
+)  # fmt: skip
 _UPLOADS = "/v1/uploads"
 
 
+#: Methods that a client may name in a header of a POST, where what lies between knows only GET and POST.
+_OVERRIDABLE = ("PATCH", "DELETE", "HEAD")
+
+
 class TusHeaders:
-    """ASGI middleware: ``Tus-Resumable`` on all responses about uploads; ``Tus-Version`` where it was a wrong one."""
+    """ASGI middleware: ``Tus-Resumable`` on all responses about uploads; ``Tus-Version`` where it was a wrong one.
+
+    A POST with ``X-HTTP-Method-Override`` is taken for the method that it names, as the protocol demands.
+    """
 
     def __init__(self, app: ASGIApp) -> None:
         self._app = app
@@ -20,6 +31,10 @@ class TusHeaders:
         if scope["type"] != "http" or not f"{scope['path']}/".startswith(f"{_UPLOADS}/"):
             await self._app(scope, receive, send)
             return
+
+        method = Headers(scope=scope).get("x-http-method-override", "").upper()
+        if scope["method"] == "POST" and method in _OVERRIDABLE:
+            scope = {**scope, "method": method}
 
         async def send_with_headers(message: Message) -> None:
             if message["type"] == "http.response.start":

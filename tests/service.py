@@ -6,7 +6,7 @@ import socket
 import threading
 import time
 from base64 import b64encode
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -49,12 +49,22 @@ class LiveApi:
         assert response.status_code == 201, response.text
         return str(response.json()["id"])
 
-    def begin(self, site: str, length: int, camera: str = "cam1", **metadata: str) -> httpx.Response:
-        """The tus creation request of a recording."""
+    def begin(
+        self,
+        site: str,
+        length: int,
+        camera: str = "cam1",
+        body: bytes | None = None,
+        extra: Mapping[str, str] | None = None,
+        **metadata: str,
+    ) -> httpx.Response:
+        """The tus creation request of a recording, with its first bytes and headers of one's own if need be."""
         values = {"site": site, "purpose": "recording", "camera": camera, "filename": "x.mp4", **metadata}
         header = ",".join(f"{key} {b64encode(value.encode()).decode()}" for key, value in values.items() if value)
         headers = {"Tus-Resumable": "1.0.0", "Upload-Length": str(length), "Upload-Metadata": header}
-        return self.http.post("/v1/uploads", headers=headers)
+        if body is not None:
+            headers["Content-Type"] = "application/offset+octet-stream"
+        return self.http.post("/v1/uploads", headers={**headers, **(extra or {})}, content=body)
 
     def send(self, path: str, offset: int, data: Any, **headers: str) -> httpx.Response:
         """A tus PATCH."""

@@ -8,10 +8,11 @@ from collections.abc import AsyncIterator, Sequence
 from datetime import UTC, datetime
 from typing import Annotated
 
-from fastapi import APIRouter, Depends, Header, Query, Response
+from fastapi import APIRouter, Depends, Header, Query, Request, Response
 from fastapi.sse import EventSourceResponse, ServerSentEvent
 from starlette.concurrency import run_in_threadpool
 
+from api.addresses import address
 from api.bodies import BoundedJsonRoute
 from api.parameters import ONLY_KNOWN_PARAMETERS
 from api.problems import documented
@@ -42,6 +43,7 @@ def create(
     site_id: str,
     body: JobIn,
     services: ServicesDep,
+    request: Request,
     response: Response,
     idempotency_key: Annotated[
         str | None,
@@ -59,7 +61,7 @@ def create(
     plan = plan_stages(site.site, body.options, files)
     job, ready = services.jobs.create(site, body.options, files, plan, idempotency_key, body.name)
     services.queue.dispatch(ready)
-    response.headers["Location"] = f"/v1/jobs/{job.id}"
+    response.headers["Location"] = address(request, f"/v1/jobs/{job.id}")
     return _out(services, job)
 
 

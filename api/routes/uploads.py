@@ -1,4 +1,4 @@
-"""Resumable uploads: tus 1.0 with creation, expiration, termination and checksum (https://tus.io)."""
+"""Resumable uploads: tus 1.0 with creation (with the first bytes along), expiration, termination and checksum (https://tus.io)."""
 
 from __future__ import annotations
 
@@ -12,7 +12,9 @@ from fastapi import APIRouter, Header, Request, Response
 from starlette.concurrency import run_in_threadpool
 from starlette.requests import ClientDisconnect
 
+from api.addresses import address
 from api.problems import documented, problem
+from api.security import UPLOAD_CONTENT_TYPE
 from api.services import ServicesDep
 from api.tus import EXTENSIONS, TUS_VERSION
 from wibam_core.adapters.site_store import UploadRequest
@@ -23,7 +25,6 @@ from wibam_core.jobs.records import Purpose, Upload
 _BLOCK = 1024 * 1024
 _IDLE_S = 30.0  # a connection that brings no byte for so long is given up: it holds the upload
 _MOST = 2**63 - 1  # what a database takes
-_CONTENT_TYPE = "application/offset+octet-stream"
 
 
 class TusVersionMismatch(WibamError):
@@ -33,7 +34,7 @@ class TusVersionMismatch(WibamError):
 
 class WrongContentType(WibamError):
     code = "wrong_content_type"
-    default_hint = f"Send the bytes as Content-Type: {_CONTENT_TYPE}."
+    default_hint = f"Send the bytes as Content-Type: {UPLOAD_CONTENT_TYPE}."
 
 
 class UploadStalled(WibamError):
@@ -42,6 +43,7 @@ class UploadStalled(WibamError):
 
 
 router = APIRouter(prefix="/v1/uploads", tags=["uploads"])
+_BYTES = {"requestBody": {"content": {UPLOAD_CONTENT_TYPE: {"schema": {"type": "string", "format": "binary"}}}}}
 TusVersion = Annotated[str, Header(alias="Tus-Resumable", description=f"must be {TUS_VERSION}")]
 
 
@@ -62,11 +64,14 @@ def options(response: Response) -> None:
     status_code=201,
     response_class=Response,  # no body
     summary="Begin an upload",
-    responses=documented(401, 404, 412, 413, 422, 507),
+    responses=documented(401, 404, 408, 409, 412, 413, 422, 507),
+    openapi_extra={
+        "requestBody": {"content": {UPLOAD_CONTENT_TYPE: {"schema": {"type": "string", "format": "binary"}}}}
+    },
 )
-def create(
+async def create(
     services: ServicesDep,
-    response: Response,
+    request: Request,
     upload_length: Annotated[int, Header(ge=0, le=_MOST, description="size of the file in bytes")],
     upload_metadata: Annotated[
         str,
@@ -77,13 +82,20 @@ def create(
             "recordings the site lists, one of these names)"
         ),
     ],
+    content_type: Annotated[str, Header()] = "",
     tus_resumable: TusVersion = "",
-) -> None:
-    """The upload's address comes in the header `Location`."""
+) -> Response:
+    """The upload's address comes in the header `Location`. The first bytes, or all, may come along as the body."""
     _check_version(tus_resumable)
-    upload = services.uploads.create(_request(upload_length, upload_metadata))
-    response.headers["Location"] = f"/v1/uploads/{upload.id}"
-    response.headers["Upload-Expires"] = _expires(upload)
+    upload = await run_in_threadpool(services.uploads.create, _request(upload_length, upload_metadata))
+    headers = {"Location": address(request, f"/v1/uploads/{upload.id}"), "Upload-Expires": _expires(upload)}
+    if _is_piece(content_type):
+        received = await _take_piece(request, services.uploads.piece(upload.id, 0))
+        if isinstance(received, Response):
+            received.headers.update(headers)
+            return received
+        headers["Upload-Offset"] = str(received.offset)
+    return Response(status_code=201, headers=headers)
 
 
 @router.head(
@@ -110,7 +122,9 @@ def head(upload_id: str, services: ServicesDep, response: Response, tus_resumabl
     status_code=204,
     summary="Send bytes",
     responses=documented(401, 404, 408, 409, 410, 412, 413, 415, 423, 460, 507),
-    openapi_extra={"requestBody": {"content": {_CONTENT_TYPE: {"schema": {"type": "string", "format": "binary"}}}}},
+    openapi_extra={
+        "requestBody": {"content": {UPLOAD_CONTENT_TYPE: {"schema": {"type": "string", "format": "binary"}}}}
+    },
 )
 async def patch(
     upload_id: str,
@@ -123,24 +137,15 @@ async def patch(
 ) -> Response:
     """Bytes that arrived before a connection broke are kept: ask with HEAD how many, and go on there."""
     _check_version(tus_resumable)
-    if content_type.split(";")[0].strip().lower() != _CONTENT_TYPE:
+    if not _is_piece(content_type):
         raise WrongContentType(f"the content type is {content_type or 'missing'}")
     checksum = parse_checksum(upload_checksum) if upload_checksum is not None else None
-    piece = services.uploads.piece(upload_id, upload_offset, checksum)
-    await run_in_threadpool(piece.__enter__)
-    try:
-        try:
-            await _receive(request, piece)
-        except (ClientDisconnect, TimeoutError) as interruption:
-            await run_in_threadpool(piece.interrupted)
-            return _answer_to(interruption)
-        upload = await run_in_threadpool(piece.finish)
-    finally:
-        with anyio.CancelScope(shield=True):
-            await run_in_threadpool(piece.__exit__, None, None, None)
+    received = await _take_piece(request, services.uploads.piece(upload_id, upload_offset, checksum))
+    if isinstance(received, Response):
+        return received
     return Response(
         status_code=204,
-        headers={"Upload-Offset": str(upload.offset), "Upload-Expires": _expires(upload)},
+        headers={"Upload-Offset": str(received.offset), "Upload-Expires": _expires(received)},
     )
 
 
@@ -149,6 +154,25 @@ def delete(upload_id: str, services: ServicesDep, tus_resumable: TusVersion = ""
     """The recording that a complete upload became stays."""
     _check_version(tus_resumable)
     services.uploads.delete(upload_id)
+
+
+async def _take_piece(request: Request, piece: Piece) -> Upload | Response:
+    """The upload after the body was taken in, or the answer where it broke off; what came until then is kept."""
+    await run_in_threadpool(piece.__enter__)
+    try:
+        try:
+            await _receive(request, piece)
+        except (ClientDisconnect, TimeoutError) as interruption:
+            await run_in_threadpool(piece.interrupted)
+            return _answer_to(interruption)
+        return await run_in_threadpool(piece.finish)
+    finally:
+        with anyio.CancelScope(shield=True):
+            await run_in_threadpool(piece.__exit__, None, None, None)
+
+
+def _is_piece(content_type: str) -> bool:
+    return content_type.split(";")[0].strip().lower() == UPLOAD_CONTENT_TYPE
 
 
 async def _receive(request: Request, piece: Piece) -> None:

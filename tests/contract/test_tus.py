@@ -333,7 +333,13 @@ def test_termination(api: LiveApi, site: str) -> None:
 def test_options_tell_what_is_served(api: LiveApi) -> None:
     headers = api.http.options("/v1/uploads").headers
     assert headers["Tus-Version"] == "1.0.0"
-    assert set(headers["Tus-Extension"].split(",")) == {"creation", "expiration", "termination", "checksum"}
+    assert set(headers["Tus-Extension"].split(",")) == {
+        "creation",
+        "creation-with-upload",
+        "expiration",
+        "termination",
+        "checksum",
+    }
 
 
 def test_replacing_a_recording_removes_the_older_bytes(api: LiveApi) -> None:

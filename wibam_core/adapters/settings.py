@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import os
+import re
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -42,6 +43,7 @@ class ServiceSettings:
         broker_url: of Redis, e.g. ``redis://redis:6379/0`` or ``redis+socket:///path/redis.sock``.
         token_sha256: SHA-256 (hex) of the API token; the token itself is not kept.
         upload_quota_bytes: all uploads together. upload_lifetime_s: unfinished ones are dropped without news.
+        cors_origins: pages of these origins, e.g. ``https://app.example``, may use the API from a browser.
     """
 
     data_dir: Path
@@ -50,6 +52,7 @@ class ServiceSettings:
     token_sha256: str
     upload_quota_bytes: int = 500 * _GB
     upload_lifetime_s: float = 24 * 3600.0
+    cors_origins: tuple[str, ...] = ()
     leases: LeasePolicy = field(default_factory=LeasePolicy)
     limits: StageLimits = field(default_factory=lambda: StageLimits(_most_of_the_memory(), 6 * 3600.0))
 
@@ -59,6 +62,13 @@ class ServiceSettings:
                 "WIBAM_TOKEN_SHA256 is not a SHA-256 in lower-case hexadecimal",
                 hint='Make it with: printf %s "$TOKEN" | sha256sum',
             )
+
+        for origin in self.cors_origins:
+            if not re.fullmatch(r"https?://[^/\s*?#]+", origin):
+                raise InputError(
+                    f"WIBAM_CORS_ORIGINS: {origin!r} is no origin",
+                    hint="Give scheme, host and port alone, several separated by commas: https://app.example.",
+                )
 
     @classmethod
     def from_environment(cls, environment: Mapping[str, str]) -> ServiceSettings:
@@ -73,6 +83,7 @@ class ServiceSettings:
             token_sha256=_required(environment, "WIBAM_TOKEN_SHA256"),
             upload_quota_bytes=int(_number(environment, "WIBAM_UPLOAD_QUOTA_GB", 500.0) * _GB),
             upload_lifetime_s=_number(environment, "WIBAM_UPLOAD_LIFETIME_H", 24.0) * 3600.0,
+            cors_origins=tuple(filter(None, map(str.strip, environment.get("WIBAM_CORS_ORIGINS", "").split(",")))),
             limits=StageLimits(
                 int(_number(environment, "WIBAM_STAGE_MEMORY_GB", _most_of_the_memory() / _GB) * _GB),
                 _number(environment, "WIBAM_STAGE_HOURS", 6.0) * 3600.0,
@@ -88,6 +99,7 @@ class ServiceSettings:
             "WIBAM_TOKEN_SHA256": self.token_sha256,
             "WIBAM_UPLOAD_QUOTA_GB": repr(self.upload_quota_bytes / _GB),
             "WIBAM_UPLOAD_LIFETIME_H": repr(self.upload_lifetime_s / 3600.0),
+            "WIBAM_CORS_ORIGINS": ",".join(self.cors_origins),
             "WIBAM_STAGE_MEMORY_GB": repr(self.limits.memory_bytes / _GB),
             "WIBAM_STAGE_HOURS": repr(self.limits.seconds / 3600.0),
         }

@@ -30,8 +30,8 @@ def test_what_is_missing_is_named(name: str) -> None:
 
 @pytest.mark.parametrize(
     ("name", "value"),
-    [("WIBAM_TOKEN_SHA256", "secret"), ("WIBAM_UPLOAD_QUOTA_GB", "much"), ("WIBAM_STAGE_HOURS", "-1"),
-     ("WIBAM_STAGE_MEMORY_GB", "nan")],
+    [("WIBAM_TOKEN_SHA256", "secret"), ("WIBAM_UPLOAD_QUOTA_GB", "much"), ("WIBAM_CORS_ORIGINS", "*"),
+     ("WIBAM_STAGE_HOURS", "-1"),     ("WIBAM_STAGE_MEMORY_GB", "nan")],
 )  # fmt: skip
 def test_what_is_wrong_is_named(name: str, value: str) -> None:
     with pytest.raises(InputError, match=name):
