@@ -112,7 +112,7 @@ def _write(stage: str, folder: Path, onnx: bool) -> None:
     writer = ArtifactWriter(stage, folder, made_by(stage))
     if stage == "preflight":
         writer.write(catalogue.PROBE, Probe(cameras={"cam1": VIDEO}))
-    if stage == "calibrate":
+    if stage == "refine":
         writer.write(catalogue.RIG, corner_rig(1))
     if stage == "finetune":
         writer.new_file(catalogue.WEIGHTS).write_bytes(bytes(range(256)) * 4)

@@ -34,7 +34,7 @@ def labelled_job(api: LiveApi, recording: bytes = b"north") -> str:
 
 def _write(stage: str, folder: Path) -> None:
     writer = ArtifactWriter(stage, folder, made_by(stage))
-    if stage == "calibrate":
+    if stage == "refine":
         writer.write(catalogue.RIG, tiny_rig())
     if stage == "frames":
         tiny_site(writer.new_file(catalogue.FRAMES))

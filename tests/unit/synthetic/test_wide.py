@@ -9,7 +9,7 @@ import numpy as np
 import pyarrow.parquet as pq
 import pytest
 
-from wibam_core.artifacts.catalogue import DETECTIONS, FRAMES, RIG
+from wibam_core.artifacts.catalogue import CALIBRATED_RIG, DETECTIONS, FRAMES
 from wibam_core.calibration.views import cut_view
 from wibam_core.config import PipelineConfig
 from wibam_core.formats.framestore import FrameStore
@@ -112,7 +112,7 @@ def test_its_views_go_through_frames_and_detection(recorded: tuple[Path, Site], 
     )
     store = StageStore(tmp_path)
     result = run_pipeline(SiteFolder.load(folder), store, config, until="detect")
-    rig, frames = result.outputs.read(RIG), result.outputs.read(FRAMES)
+    rig, frames = result.outputs.read(CALIBRATED_RIG), result.outputs.read(FRAMES)
     assert isinstance(frames, FrameStore)
     views = [view.id for of_camera in rig.views.values() for view in of_camera]
     assert sorted(frames.camera_ids) == sorted(views)
