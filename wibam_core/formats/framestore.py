@@ -10,7 +10,7 @@ camera: its JPEG files end to end. Tens of thousands of small files would be slo
 from __future__ import annotations
 
 import json
-import mmap
+import os
 import threading
 import zlib
 from collections.abc import Iterable, Mapping
@@ -236,7 +236,7 @@ class FrameStore:
         places = np.stack([table[name].to_numpy() for name in _SCHEMA.names[1:]])
         #: By camera (4, N): times, ascending, then where their JPEG files lie.
         self._places = {id_: places[:, cameras == id_] for id_ in table["camera_id"].unique().to_pylist()}
-        self._packs: dict[str, mmap.mmap] = {}
+        self._packs: dict[str, BinaryIO] = {}
 
     @cached_property
     def frame_sets(self) -> list[FrameSet]:
@@ -292,7 +292,9 @@ class FrameStore:
         at = np.searchsorted(times_ns, local_ns)
         if at == len(times_ns) or times_ns[at] != local_ns or not lengths[at]:
             raise KeyError(local_ns)
-        jpeg = self._pack(camera_id)[offsets[at] : offsets[at] + lengths[at]]
+        # a mapped file would count as memory of the process, more and more as its frames are read
+        pack = self._pack(camera_id)
+        jpeg = os.pread(pack.fileno(), int(lengths[at]), int(offsets[at]))
         if zlib.crc32(jpeg) != checksums[at]:
             raise _damaged(camera_id, local_ns)
         return jpeg
@@ -333,16 +335,17 @@ class FrameStore:
         """Pixels of the recording to pixels of stored frames, the inverse of `to_native_px`."""
         return resized_px(points, scale_of(self.native_size(camera_id), self.size(camera_id), points.shape[-1]))
 
-    def _pack(self, camera_id: str) -> mmap.mmap:
+    def _pack(self, camera_id: str) -> BinaryIO:
         if camera_id not in self._packs:
             try:
-                with (self.folder / _PACK.format(camera_id)).open("rb") as file:
-                    self._packs[camera_id] = mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ)
-            except (OSError, ValueError) as error:
+                pack = (self.folder / _PACK.format(camera_id)).open("rb")
+            except OSError as error:
                 raise InputError(
                     f"the stored frames of camera {camera_id} cannot be read: {error}",
                     hint="Run the frames stage again.",
                 ) from error
+            # of two threads that open it at one time, one file stays
+            return self._packs.setdefault(camera_id, pack)
         return self._packs[camera_id]
 
 
