@@ -83,6 +83,10 @@ def refine(
         poses = dict(zip(rig, found.covariance[:, :6, :6], strict=True))
     assert found is not None
     judged = _judged(sightings.of_vehicles(held_out), rig, found.rig, config)
+    if judged is None:
+        return _unchanged(
+            rig, config, "fewer than two vehicles were held out that the cameras could be judged by", known
+        )
     progress(1.0, "refined" if _is_better(judged, config) else "kept as calibrated")
     return _result(rig, found, judged, sightings.of_vehicles(~held_out), config)
 
@@ -92,8 +96,8 @@ def _unchanged(rig: CameraRig, config: RefineConfig, reason: str, known: dict[st
     return Refined(rig, Refinement(method=config.method, taken=False, reason=reason, covariances=covariances))
 
 
-def _judged(sightings: Sightings, before: CameraRig, after: CameraRig, config: RefineConfig) -> HeldOut:
-    """How well vehicles fit through cameras that were not refined by them."""
+def _judged(sightings: Sightings, before: CameraRig, after: CameraRig, config: RefineConfig) -> HeldOut | None:
+    """How well vehicles fit through cameras that others refined; None where fewer than two can be compared."""
     errors, medians_px = [], []
     for rig in (before, after):
         still = Prior(rig, np.zeros((len(rig), 0, 0)))
@@ -104,6 +108,8 @@ def _judged(sightings: Sightings, before: CameraRig, after: CameraRig, config: R
         medians_px.append(float(np.nanmedian(np.abs(residuals_px))))
     ratio = np.log(np.array(errors[1]) / np.array(errors[0]))
     ratio = ratio[np.isfinite(ratio)]
+    if len(ratio) < 2:
+        return None
     return HeldOut(
         vehicles=len(ratio),
         before_px=medians_px[0],

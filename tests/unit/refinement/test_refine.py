@@ -99,6 +99,15 @@ def test_where_nothing_can_be_said_cameras_stay_and_it_is_said_why(options: dict
     assert words in found.document.reason
 
 
+def test_where_one_vehicle_alone_is_held_out_cameras_stay() -> None:
+    scene = crossing()
+    few = [replace(one, detections={k: d.where(d.boxes[:, 0] < 420) for k, d in one.detections.items()})
+           for one in scene.unassociated[:40]]  # fmt: skip
+    found = refine(few, scene.rig, NOTHING_KNOWN, RefineConfig(min_vehicles=4))
+    assert not found.document.taken and found.rig is scene.rig
+    assert "fewer than two vehicles" in found.document.reason
+
+
 def test_stage_passes_the_rig_on_where_it_is_switched_off(tmp_path: Path) -> None:
     folders, scene = StageFolders(tmp_path), crossing()
     folders.give(catalogue.CALIBRATED_RIG, scene.rig)
