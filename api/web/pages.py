@@ -209,3 +209,8 @@ def player(job_id: Id, read_only: ReadOnly) -> HTMLResponse:
 @router.get("/jobs/{job_id}/conflicts")
 def conflicts(job_id: Id, read_only: ReadOnly) -> HTMLResponse:
     return page("conflicts", read_only=read_only, job=job_id)
+
+
+@router.get("/jobs/{job_id}/labelling")
+def labelling(job_id: Id, read_only: ReadOnly) -> HTMLResponse:
+    return page("labelling", read_only=read_only, job=job_id)

@@ -18,6 +18,12 @@ export class Plan {
     this.pxPerM = 8;
     /** Called with a world point where one clicks. @type {(point: number[], event: MouseEvent) => void} */
     this.onclick = () => {};
+    /** Called with a world point where a drag may begin; says whether it is taken, or else moves the plan. @type {(point: number[], event: PointerEvent) => boolean} */
+    this.ondown = () => false;
+    /** @type {(point: number[], event: PointerEvent) => void} */
+    this.ondrag = () => {};
+    /** @type {(point: number[], event: PointerEvent) => void} */
+    this.onup = () => {};
     this.pending = false;
     this.#listen();
     new ResizeObserver(() => this.redraw()).observe(canvas);
@@ -128,20 +134,23 @@ export class Plan {
   #listen() {
     const canvas = this.canvas;
     canvas.tabIndex = 0;
-    let from = /** @type {number[]|null} */ (null), moved = false;
-    canvas.addEventListener("pointerdown", (event) => { from = this.pixelOf(event); moved = false; canvas.setPointerCapture(event.pointerId); });
+    let from = /** @type {number[]|null} */ (null), moved = false, taken = false;
+    canvas.addEventListener("pointerdown", (event) => { from = this.pixelOf(event); moved = false; taken = event.button === 0 && this.ondown(this.toWorld(from), event); canvas.setPointerCapture(event.pointerId); });
     canvas.addEventListener("pointermove", (event) => {
       if (!from) return;
       const to = this.pixelOf(event);
       if (!moved && Math.hypot(to[0] - from[0], to[1] - from[1]) < 4) return;
       moved = true;
+      if (taken) { this.ondrag(this.toWorld(to), event); return; }
       this.centre = [this.centre[0] - (to[0] - from[0]) / this.pxPerM, this.centre[1] + (to[1] - from[1]) / this.pxPerM];
       from = to;
       this.redraw();
     });
     canvas.addEventListener("pointerup", (event) => {
-      if (from && !moved) this.onclick(this.toWorld(this.pixelOf(event)), event);
+      if (from && !moved && !taken) this.onclick(this.toWorld(this.pixelOf(event)), event);
+      if (taken) this.onup(this.toWorld(this.pixelOf(event)), event);
       from = null;
+      taken = false;
     });
     canvas.addEventListener("wheel", (event) => {
       event.preventDefault();

@@ -1,0 +1,113 @@
+// Labels on their way to the service: saved by themselves, kept in the browser until they are, merged where two people edit.
+import { get, Problem, query, request } from "./api.js";
+import { merged } from "./labelmodel.js";
+
+const WAIT_MS = 700, AGAIN_MS = 4000;
+
+/** @typedef {import("./labelmodel.js").Vehicle} Vehicle */
+/**
+ * @typedef {Object} Draft what is not saved yet
+ * @property {number} version that it was made from
+ * @property {Vehicle[]} base of that version
+ * @property {Vehicle[]} vehicles
+ * @property {boolean} finished
+ * @property {number} seconds
+ */
+
+/** Labels of one instant in one set. */
+export class LabelStore {
+  /**
+   * @param {string} jobId @param {string} set @param {number} timeNs
+   * @param {{author: () => string, saved: (answer: any) => void, said: (text: string, bad?: boolean) => void, merge: (found: {vehicles: Vehicle[], both: any[]}, author: string) => Promise<Vehicle[]>}} page
+   */
+  constructor(jobId, set, timeNs, page) {
+    this.path = `/v1/jobs/${jobId}/labels/instants/${timeNs}${query({ set })}`;
+    this.key = `wibam-labels ${jobId} ${set} ${timeNs}`;
+    this.page = page;
+    this.version = 0;
+    /** @type {Vehicle[]} */
+    this.base = [];
+    /** @type {Draft|null} */
+    this.draft = null;
+    this.timer = 0;
+    this.busy = /** @type {Promise<void>|null} */ (null);
+  }
+
+  /** What to show: as saved, or as left unsaved in this browser. @returns {Promise<{answer: any, draft: Draft|null}>} */
+  async open() {
+    const answer = await get(this.path), kept = localStorage.getItem(this.key);
+    this.version = answer.version;
+    this.base = answer.labels.vehicles;
+    if (kept === null) return { answer, draft: null };
+    this.draft = /** @type {Draft} */ (JSON.parse(kept));
+    return { answer, draft: this.draft };
+  }
+
+  /** Remember at once, and save soon. @param {Vehicle[]} vehicles @param {boolean} finished @param {number} seconds */
+  put(vehicles, finished, seconds) {
+    const from = this.draft ?? { version: this.version, base: this.base };
+    this.draft = { version: from.version, base: from.base, vehicles, finished, seconds };
+    localStorage.setItem(this.key, JSON.stringify(this.draft));
+    this.page.said("saving …");
+    this.#soon(WAIT_MS);
+  }
+
+  /** Save now what is unsaved; resolves when it is, or cannot be. @returns {Promise<void>} */
+  async flush() {
+    clearTimeout(this.timer);
+    while (this.busy) await this.busy;
+    if (!this.draft) return;
+    this.busy = this.#save();
+    await this.busy;
+  }
+
+  /** @param {number} ms */
+  #soon(ms) {
+    clearTimeout(this.timer);
+    this.timer = window.setTimeout(() => this.flush(), ms);
+  }
+
+  async #save() {
+    const draft = /** @type {Draft} */ (this.draft);
+    try {
+      const response = await request("PUT", this.path, {
+        body: { author: this.page.author(), vehicles: draft.vehicles, finished: draft.finished, seconds: draft.seconds },
+        headers: { "If-Match": `"${draft.version}"` },
+      });
+      const answer = await response.json();
+      this.version = answer.version;
+      this.base = draft.vehicles;
+      if (this.draft === draft) this.#forget();
+      else if (this.draft) this.draft = { ...this.draft, version: this.version, base: this.base };
+      this.page.saved(answer);
+      this.page.said(`saved as version ${answer.version}`);
+    } catch (error) {
+      await this.#failed(error, draft);
+    } finally {
+      this.busy = null;
+    }
+  }
+
+  /** @param {unknown} error @param {Draft} draft */
+  async #failed(error, draft) {
+    if (!(error instanceof Problem)) throw error;
+    if (error.code === "changed_meanwhile") {
+      const theirs = await get(this.path), found = merged(draft.base, draft.vehicles, theirs.labels.vehicles);
+      this.version = theirs.version;
+      this.base = theirs.labels.vehicles;
+      const vehicles = await this.page.merge(found, theirs.author);
+      this.draft = { ...draft, version: this.version, base: this.base, vehicles };
+      localStorage.setItem(this.key, JSON.stringify(this.draft));
+      this.#soon(0);
+      return;
+    }
+    const again = error.code === "unreachable" || error.status >= 500 || error.status === 401;
+    this.page.said(`not saved: ${error.message}. It is kept in this browser${again ? ", and saved when the service answers" : ""}. ${error.hint}`, true);
+    if (again) this.#soon(AGAIN_MS);
+  }
+
+  #forget() {
+    this.draft = null;
+    localStorage.removeItem(this.key);
+  }
+}

@@ -1,0 +1,375 @@
+// Labelling: all cameras' frames and the plan at one instant, with cuboids that are the same in all of them.
+import { get, getIfThere, query, send } from "../api.js";
+import { ask, attempt, byId, fill, h, message, say } from "../dom.js";
+import { clock, duration, number, percent } from "../format.js";
+import { FrameCache } from "../frames.js";
+import { FrameView } from "../frameview.js";
+import { jobId, readOnly, showTabs, showTitle } from "../jobtabs.js";
+import { drawCuboids, drawVehicles, gripInPlan, gripInView } from "../labeldraw.js";
+import { boxAfterKey, boxAfterWheel } from "../labelkeys.js";
+import { grounded, heading, later, Model } from "../labelmodel.js";
+import { makePanel, showVehicle } from "../labelpanel.js";
+import { draggedInPlan, draggedInView } from "../labelpointer.js";
+import { LabelStore } from "../labelstore.js";
+import { WorkTimer } from "../labeltimer.js";
+import { cameraColour, drawCamera, groundInView, Plan } from "../plan.js";
+import { Camera } from "../projection.js";
+
+/** @typedef {import("../labelmodel.js").Vehicle} Vehicle */
+/** @typedef {import("../labeldraw.js").Grip} Grip */
+const FRAME_PX = 1280, SUGGESTED = 20, SNAP_M = 4, MOTION_S = 2.5, KEPT_MEASURES = 600;
+let cameras = /** @type {Camera[]} */ ([]), classes = /** @type {any[]} */ ([]), colours = /** @type {Map<string, string>} */ (new Map());
+let stored = { times_ns: /** @type {number[]} */ ([]), frame_times_ns: /** @type {Object<string, Array<number|null>>} */ ({}) };
+let test = /** @type {number[]} */ ([]), listed = /** @type {number[]} */ ([]), labelled = /** @type {Map<number, any>} */ (new Map());
+let timeNs = NaN, proposals = /** @type {Vehicle[]} */ ([]), seen = /** @type {Object<string, Object<number, number>>} */ ({});
+let store = /** @type {LabelStore|null} */ (null), placing = false, from = /** @type {{timeNs: number, boxes: Map<number, number[]>}|null} */ (null);
+let drag = /** @type {{grip: Grip, vehicle: Vehicle, at: number[]}|null} */ (null);
+const views = /** @type {Map<string, FrameView>} */ (new Map()), timer = new WorkTimer();
+const model = new Model(changed);
+const cache = new FrameCache(jobId, FRAME_PX, showFrames);
+const plan = new Plan(byId("plan"), (view, context) => {
+  cameras.forEach((camera, index) => drawCamera(view, context, camera, cameraColour(index)));
+  drawVehicles(view, context, model.vehicles, model.chosen, colours);
+});
+const setName = () => byId("set").value || "main";
+
+/** How much later than the instant a camera exposed its frame. @param {string} camera */
+function lateS(camera) {
+  const at = stored.frame_times_ns[camera]?.[stored.times_ns.indexOf(timeNs)];
+  return at === null || at === undefined ? 0 : (at - timeNs) / 1e9;
+}
+
+function redraw() {
+  plan.redraw();
+  for (const view of views.values()) view.redraw();
+  const vehicle = model.current, of = /** @type {Object<string, number>} */ ({});
+  for (const camera of cameras) if (vehicle && seen[camera.id]?.[vehicle.id] !== undefined) of[camera.id] = seen[camera.id][vehicle.id];
+  showVehicle(vehicle, cameras.map((camera) => camera.id), of, vehicle ? (timer.vehicles.get(vehicle.id) ?? 0) : 0);
+  fill(byId("present"), model.vehicles.length ? null : h("option", { value: "" }, "none"), model.vehicles.map((one) => h("option", { value: one.id, selected: one.id === model.chosen }, `${one.id}: ${one.class}`)));
+  byId("undo").disabled = readOnly || !model.past.length;
+  byId("redo").disabled = readOnly || !model.future.length;
+  byId("finish").textContent = model.finished ? "Finished" : "Finish";
+  byId("finish").setAttribute("aria-pressed", String(model.finished));
+  byId("worked").textContent = `${model.vehicles.length} vehicles · ${duration(timer.seconds)} of work`;
+}
+
+/** Whatever was changed is saved. */
+function changed() {
+  store?.put(model.vehicles.map((vehicle) => ({ ...withMotion(vehicle), seconds: vehicle.seconds + (timer.vehicles.get(vehicle.id) ?? 0) })), model.finished, timer.seconds);
+  redraw();
+}
+
+/** A vehicle that was copied here moves as it was moved since. @param {Vehicle} vehicle @returns {Vehicle} */
+function withMotion(vehicle) {
+  const before = from?.boxes.get(vehicle.id);
+  if (!from || !before) return vehicle;
+  const seconds = (timeNs - from.timeNs) / 1e9;
+  return { ...vehicle, velocity_mps: [(vehicle.box[0] - before[0]) / seconds, (vehicle.box[1] - before[1]) / seconds] };
+}
+
+function showFrames() {
+  for (const camera of cameras) views.get(camera.id)?.show(cache.get(camera.id, timeNs) ?? null);
+}
+
+/** @param {any} answer */
+function takeSeen(answer) {
+  seen = {};
+  for (const [camera, shares] of Object.entries(answer.visibility)) {
+    seen[camera] = Object.fromEntries(answer.labels.vehicles.map((/** @type {Vehicle} */ vehicle, /** @type {number} */ row) => [vehicle.id, shares[row]]));
+  }
+}
+
+/** Two people's work, where both changed a vehicle. @param {{vehicles: Vehicle[], both: any[]}} found @param {string} author @returns {Promise<Vehicle[]>} */
+async function merge(found, author) {
+  let vehicles = found.vehicles;
+  byId("merge-said").textContent = `${author} saved this instant meanwhile. What only one of you changed is taken over${found.both.length ? "; of what both changed, say whose stands." : "."}`;
+  fill(byId("merge-both"), found.both.map(({ id, mine, theirs }) => h("fieldset", null, h("legend", null, `Vehicle ${id}`), ["mine", "theirs"].map((whose) => h("label", null,
+    h("input", { type: "radio", name: `of-${id}`, value: whose, checked: whose === "mine" }), whose === "mine" ? ` yours${mine ? "" : " (removed)"}` : ` theirs${theirs ? "" : " (removed)"}`)))));
+  await ask(byId("merge-dialog"));
+  for (const { id, theirs } of found.both) {
+    const whose = /** @type {HTMLInputElement|null} */ (byId("merge-both").querySelector(`input[name="of-${id}"]:checked`))?.value;
+    if (whose === "theirs") vehicles = [...vehicles.filter((vehicle) => vehicle.id !== id), ...(theirs ? [theirs] : [])];
+  }
+  model.replace(vehicles);
+  return vehicles;
+}
+
+/** Go to an instant. @param {number} time @param {Vehicle[]} [copied] vehicles that are to stand there, too */
+async function open(time, copied = []) {
+  await store?.flush();
+  timeNs = time;
+  proposals = [];
+  const here = new LabelStore(jobId, setName(), time, {
+    author: () => byId("author").value.trim() || "somebody",
+    saved: (answer) => { takeSeen(answer); noteSaved(answer); redraw(); },
+    said: (text, bad = false) => { byId("saved").textContent = text; byId("saved").classList.toggle("bad", bad); },
+    merge,
+  });
+  store = null;
+  cache.want(neighbours(time).flatMap((at) => cameras.map((camera) => /** @type {[string, number]} */ ([camera.id, at]))));
+  showFrames();
+  const [{ answer, draft }, proposed] = await Promise.all([here.open(), getIfThere(`/v1/jobs/${jobId}/labels/instants/${time}/proposal`)]);
+  if (time !== timeNs) return;
+  proposals = proposed ?? [];
+  if (!copied.length) from = null;
+  const labels = draft ?? answer.labels;
+  takeSeen(answer);
+  timer.start(labels.seconds);
+  model.load(labels.vehicles, labels.finished);
+  byId("saved").textContent = answer.version ? `version ${answer.version} by ${answer.author}` : "not labelled yet";
+  byId("instant").value = String(time);
+  store = here;
+  const added = copied.filter((vehicle) => !labels.vehicles.some((/** @type {Vehicle} */ one) => one.id === vehicle.id));
+  if (added.length) { model.replace([...model.vehicles, ...added]); model.chosen ??= added[0].id; }
+  if (draft) changed();
+  redraw();
+  say(`Instant ${clock(time / 1e9)}, ${model.vehicles.length} vehicles.`);
+}
+
+/** An instant, and those that one is likely to go to next. @param {number} time @returns {number[]} */
+function neighbours(time) {
+  const at = listed.indexOf(time), after = test.find((one) => one > time);
+  return [...new Set([time, listed[at + 1], after, listed[at - 1]])].filter((one) => one !== undefined);
+}
+
+/** @param {any} answer */
+function noteSaved(answer) {
+  labelled.set(answer.labels.time_ns, { time_ns: answer.labels.time_ns, vehicles: answer.labels.vehicles.length, finished: answer.labels.finished, seconds: answer.labels.seconds });
+  showList();
+}
+
+function showList() {
+  const shown = [...new Set([...listed, ...labelled.keys(), timeNs])].sort((a, b) => a - b);
+  listed = shown;
+  const state = (/** @type {number} */ time) => { const one = labelled.get(time); return !one ? "○ suggested" : `${one.finished ? "● finished" : "◐ begun"}, ${one.vehicles}`; };
+  fill(byId("instant"), shown.map((time) => h("option", { value: time, selected: time === timeNs }, `${clock(time / 1e9)} ${state(time)}`)));
+  const finished = [...labelled.values()].filter((one) => one.finished), seconds = finished.reduce((sum, one) => sum + one.seconds, 0);
+  byId("progress").textContent = `${finished.length} instants finished with ${finished.reduce((sum, one) => sum + one.vehicles, 0)} vehicles${finished.length ? `, ${duration(seconds / finished.length)} of work each` : ""}.`;
+  for (const format of ["parquet", "coco", "wibam"]) byId(`as-${format}`).href = `/v1/jobs/${jobId}/labels/export/${format === "wibam" ? "wibam-dataset" : format}${query({ set: setName() })}`;
+}
+
+/** Put the vehicles on to the next instant of the test part, where they have moved to. */
+async function copyOn() {
+  const next = test.find((time) => time > timeNs);
+  if (next === undefined) { byId("saved").textContent = "there is no later instant in the test part"; return; }
+  const seconds = (next - timeNs) / 1e9, near = seconds <= MOTION_S;
+  const copied = model.vehicles.map(withMotion).map((vehicle) => ({ ...vehicle, box: near ? later(vehicle, seconds) : vehicle.box, visibility: {}, seconds: 0 }));
+  const kept = copied.filter((vehicle) => cameras.some((camera) => camera.boxAround(vehicle.box)));
+  from = near ? { timeNs, boxes: new Map(model.vehicles.map((vehicle) => [vehicle.id, vehicle.box])) } : null;
+  if (!listed.includes(next)) listed.push(next);
+  await open(next, kept);
+  showList();
+}
+
+function takeProposals() {
+  const added = proposals.filter((one) => !model.vehicles.some((vehicle) => vehicle.id === one.id) && cameras.some((camera) => camera.boxAround(one.box)));
+  if (!added.length) { byId("saved").textContent = "there is no proposal that is not here already"; return; }
+  model.chosen ??= added[0].id;
+  model.replace([...model.vehicles, ...added]);
+  say(`${added.length} proposals taken.`);
+}
+
+function snapToFit() {
+  const vehicle = model.current;
+  if (!vehicle) return;
+  const distance = (/** @type {Vehicle} */ one) => Math.hypot(one.box[0] - vehicle.box[0], one.box[1] - vehicle.box[1]);
+  const nearest = [...proposals].filter((one) => distance(one) < SNAP_M).sort((a, b) => distance(a) - distance(b))[0];
+  if (!nearest) { byId("saved").textContent = `no fit within ${SNAP_M} m`; return; }
+  model.update({ box: nearest.box, velocity_mps: nearest.velocity_mps });
+}
+
+/** A new vehicle of the usual size. @param {number[]} ground */
+function place(ground) {
+  const kind = classes.find((one) => one.name === byId("class").value) ?? classes[0], [length, width, height] = kind.size_m;
+  model.add(kind.name, [ground[0], ground[1], height / 2, length, width, height, model.current?.box[6] ?? 0], proposals.map((one) => one.id));
+  setPlacing(false);
+}
+
+/** @param {boolean} on */
+function setPlacing(on) {
+  placing = on;
+  byId("new").setAttribute("aria-pressed", String(on));
+  byId("labelling").classList.toggle("placing", on);
+}
+
+/** Begin a drag, or not. @param {Grip|null} grip @param {number[]} at @param {number[]|null} ground @returns {boolean} */
+function take(grip, at, ground) {
+  timer.act(model.chosen);
+  if (readOnly) { model.chosen = grip?.id ?? model.chosen; redraw(); return false; }
+  if (placing && ground) {
+    place(ground);
+    drag = { grip: { kind: "turn", id: model.chosen ?? 0 }, vehicle: /** @type {Vehicle} */ (model.current), at };
+    return true;
+  }
+  if (!grip) return false;
+  if (grip.id !== model.chosen) { model.chosen = grip.id; redraw(); }
+  drag = { grip, vehicle: /** @type {Vehicle} */ (model.current), at };
+  model.endStep();
+  return true;
+}
+
+/** @param {number[]} box */
+function dragTo(box) {
+  const start = performance.now();
+  timer.act(model.chosen);
+  model.update({ box }, drag?.grip.id === model.chosen && model.step?.startsWith("add") ? model.step : "drag");
+  plan.drawNow();
+  for (const view of views.values()) view.drawNow();
+  performance.measure("drag", { start, end: performance.now() });
+  if (performance.getEntriesByName("drag").length > KEPT_MEASURES) performance.clearMeasures("drag");
+}
+
+function drop() {
+  timer.act(model.chosen);
+  drag = null;
+  model.endStep();
+}
+
+function listenPlan() {
+  plan.ondown = (world) => take(placing ? null : gripInPlan(plan, world, model.vehicles, model.current), world, world);
+  plan.ondrag = (world) => { if (drag) dragTo(draggedInPlan(drag.vehicle.box, drag.grip, drag.at, world)); };
+  plan.onup = drop;
+}
+
+/** @param {Camera} camera @param {FrameView} view */
+function listenView(camera, view) {
+  view.ondown = (pixel) => take(placing ? null : gripInView(view, camera, pixel, model.vehicles, model.current, lateS(camera.id)), pixel, camera.ground(pixel));
+  view.ondrag = (pixel) => {
+    if (!drag) return;
+    const ground = drag.grip.kind === "turn" ? camera.ground(pixel) : null, { box } = drag.vehicle;
+    if (drag.grip.kind !== "turn") dragTo(draggedInView(camera, drag.vehicle, drag.grip, drag.at, pixel, lateS(camera.id)));
+    else if (ground) dragTo(heading(box, Math.atan2(ground[1] - box[1], ground[0] - box[0])));
+  };
+  view.onup = drop;
+}
+
+/** @param {number} by */
+function step(by) {
+  const at = listed.indexOf(timeNs) + by;
+  if (at >= 0 && at < listed.length) attempt(() => open(listed[at]));
+}
+
+function remove() {
+  model.remove();
+}
+
+/** @param {KeyboardEvent} event */
+function keys(event) {
+  const tag = /** @type {Element} */ (event.target).tagName, typing = /^(INPUT|SELECT|TEXTAREA)$/.test(tag), control = event.ctrlKey || event.metaKey;
+  if (typing || document.querySelector("dialog[open]") || (event.key === "Enter" && /^(BUTTON|A|SUMMARY)$/.test(tag))) return;
+  timer.act(model.chosen);
+  const key = event.key.toLowerCase(), vehicle = model.current;
+  const box = vehicle && !control && !readOnly ? boxAfterKey(vehicle.box, event) : null;
+  const walk = /** @type {Object<string, () => void>} */ ({ ",": () => choose(-1), ".": () => choose(1), pageup: () => step(-1), pagedown: () => step(1) });
+  const work = /** @type {Object<string, () => void>} */ ({
+    n: () => setPlacing(!placing), i: () => place(plan.centre), escape: () => setPlacing(false), delete: remove, x: () => model.update({ ignored: !vehicle?.ignored }), f: snapToFit, p: takeProposals,
+    g: () => vehicle && model.update({ box: grounded(vehicle.box) }), r: turnAround, c: () => attempt(copyOn), enter: finish,
+  });
+  const undoing = /** @type {Object<string, () => void>} */ ({ z: () => (event.shiftKey ? model.redo() : model.undo()), y: () => model.redo() });
+  const act = box ? () => model.update({ box }, `keys ${key}`) : control ? (readOnly ? undefined : undoing[key]) : (walk[key] ?? (readOnly || event.altKey ? undefined : work[key]));
+  if (!act) return;
+  event.preventDefault();
+  event.stopPropagation();
+  act();
+}
+
+/** @param {number} by */
+function choose(by) {
+  model.cycle(by);
+  model.endStep();
+  redraw();
+}
+
+function turnAround() {
+  const vehicle = model.current;
+  if (vehicle) model.update({ box: heading(vehicle.box, vehicle.box[6] + Math.PI) });
+}
+
+function finish() {
+  model.replace(model.vehicles, { finished: !model.finished });
+}
+
+/** @param {WheelEvent} event */
+function wheel(event) {
+  if (!model.current || readOnly || !(event.shiftKey || event.altKey) || !(event.target instanceof HTMLCanvasElement)) return;
+  event.preventDefault();
+  event.stopPropagation();
+  timer.act(model.chosen);
+  const box = boxAfterWheel(model.current.box, event);
+  if (box) model.update({ box }, "wheel");
+}
+
+async function evaluate() {
+  await store?.flush();
+  await send("POST", `/v1/jobs/${jobId}/labels/evaluate`, { set: setName() });
+  location.assign(`/jobs/${jobId}`);
+}
+
+async function compare() {
+  const found = await get(`/v1/jobs/${jobId}/labels/agreement${query({ first: setName(), second: byId("other").value })}`);
+  const row = (/** @type {string} */ title, /** @type {string} */ value) => h("tr", null, h("th", { scope: "row" }, title), h("td.number", null, value));
+  const pair = (/** @type {any} */ one, /** @type {number} */ digits = 2) => (one.mean === null ? "–" : `${number(one.mean, digits)} ± ${number(one.sd, digits)}`);
+  fill(byId("agreement"), h("table", null, h("caption", null, `${setName()} and ${byId("other").value}, mean ± standard deviation`), h("tbody", null,
+    row("Instants that both finished", String(found.instants)), row("Vehicles of both", String(found.pairs)), row("Only in the first, only in the second", `${found.only_first}, ${found.only_second}`),
+    row("BEV IoU", pair(found.bev_iou)), row("3D IoU", pair(found.iou_3d)), row("Distance of centres, m", pair(found.ate_m)), row("Difference of headings, °", pair(found.aoe_deg, 1)),
+    row("Difference of visibility", pair(found.visibility)), row("Same class", percent(found.same_class)))));
+}
+
+function listen() {
+  const on = (/** @type {string} */ id, /** @type {() => any} */ work) => byId(id).addEventListener("click", () => { timer.act(model.chosen); attempt(async () => work()); });
+  for (const [id, work] of /** @type {Array<[string, () => any]>} */ ([["before", () => step(-1)], ["after", () => step(1)], ["compare", compare]])) on(id, work);
+  for (const [id, work] of /** @type {Array<[string, () => any]>} */ ([
+    ["propose", takeProposals], ["new", () => setPlacing(!placing)], ["undo", () => model.undo()], ["redo", () => model.redo()], ["copy", copyOn], ["finish", finish], ["remove", remove],
+    ["snap", snapToFit], ["ground", () => model.current && model.update({ box: grounded(model.current.box) })], ["reverse", turnAround], ["evaluate", evaluate],
+  ])) { on(id, work); byId(id).disabled = readOnly; }
+  byId("instant").addEventListener("change", () => attempt(() => open(Number(byId("instant").value))));
+  byId("present").addEventListener("change", () => { model.chosen = Number(byId("present").value); redraw(); });
+  byId("author").addEventListener("change", () => localStorage.setItem("wibam-author", byId("author").value));
+  byId("set").addEventListener("change", () => attempt(async () => { localStorage.setItem("wibam-label-set", setName()); await store?.flush(); await loadList(); await open(timeNs); }));
+  byId("fields").addEventListener("submit", (/** @type {Event} */ event) => event.preventDefault());
+  document.addEventListener("keydown", keys, { capture: true });
+  document.addEventListener("wheel", wheel, { capture: true, passive: false });
+  document.addEventListener("visibilitychange", () => { if (document.hidden) store?.flush(); });
+  listenPlan();
+}
+
+async function loadList() {
+  const set = setName(), [summary, suggested, all] = await Promise.all([
+    get(`/v1/jobs/${jobId}/labels${query({ set })}`), get(`/v1/jobs/${jobId}/labels/suggestions${query({ set, count: SUGGESTED })}`), get(`/v1/jobs/${jobId}/labels/suggestions${query({ set, count: 500 })}`),
+  ]);
+  labelled = new Map(summary.instants.map((/** @type {any} */ one) => [one.time_ns, one]));
+  listed = suggested.map((/** @type {any} */ one) => one.time_ns);
+  test = [...new Set([...all.map((/** @type {any} */ one) => one.time_ns), ...labelled.keys()])].sort((a, b) => a - b);
+  if (Number.isNaN(timeNs)) timeNs = Number(new URLSearchParams(location.search).get("time_ns") ?? listed[0] ?? test[0] ?? stored.times_ns[0]);
+  showList();
+}
+
+async function start() {
+  const job = await get(`/v1/jobs/${jobId}`);
+  showTitle(job);
+  showTabs(job);
+  const done = new Set(job.stages.filter((/** @type {any} */ one) => ["succeeded", "reused"].includes(one.state)).map((/** @type {any} */ one) => one.name));
+  if (!["calibrate", "frames", "dataset", "lift"].every((name) => done.has(name))) { fill(byId("nothing"), message("plain", "there is nothing to label yet", "Instants can be labelled once the stage “Fit 7DoF boxes to all views” has finished.")); return; }
+  const [scene, found] = await Promise.all([get(`/v1/jobs/${jobId}/scene`), get(`/v1/jobs/${jobId}/instants`)]);
+  stored = found;
+  cameras = scene.cameras.map((/** @type {any} */ camera) => new Camera(camera));
+  classes = scene.classes;
+  colours = new Map(classes.map((one) => [one.name, one.colour]));
+  byId("author").value = localStorage.getItem("wibam-author") ?? "";
+  byId("set").value = localStorage.getItem("wibam-label-set") ?? "main";
+  byId("labelling").hidden = false;
+  fill(byId("views"), cameras.map((camera) => {
+    const canvas = /** @type {HTMLCanvasElement} */ (h("canvas", { "aria-label": `Frame of camera ${camera.id} with labelled vehicles` }));
+    const view = new FrameView(canvas, camera.width, camera.height, (shown, context) => drawCuboids(shown, context, camera, model.vehicles, model.chosen, colours, lateS(camera.id)));
+    views.set(camera.id, view);
+    listenView(camera, view);
+    return h("figure", null, canvas, h("figcaption", null, camera.id));
+  }));
+  makePanel({ classes: classes.map((one) => one.name), cameras: cameras.map((camera) => camera.id), update: (change, of) => { timer.act(model.chosen); model.update(change, of); }, current: () => model.current });
+  plan.fit(cameras.flatMap((camera) => groundInView(camera, 40)), 0.03);
+  listen();
+  await loadList();
+  await open(timeNs);
+}
+
+attempt(start);

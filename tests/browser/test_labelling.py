@@ -1,0 +1,195 @@
+"""An instant labelled by mouse and keyboard, against where the vehicles of the pictures really are."""
+
+from __future__ import annotations
+
+import re
+
+import numpy as np
+import pytest
+
+from tests.browser.conftest import Visit, visit
+from tests.labelled_job import FIT_ERROR, TIMES_NS, labelled_job
+from tests.service import LiveApi
+from tests.site_dataset import boxes_at, tiny_rig
+from wibam_core.geometry.iou import bev_iou_paired
+
+pytestmark = pytest.mark.end_to_end
+HUMAN_MS = 150
+
+
+@pytest.fixture(scope="module")
+def job(api: LiveApi) -> str:
+    return labelled_job(api)
+
+
+@pytest.fixture
+def labelling(signed_in: Visit, job: str, request: pytest.FixtureRequest) -> Visit:
+    """The page at an instant, in a set of labels of the test's own."""
+    page = signed_in.page
+    name = re.sub(r"\W", "-", request.node.name)[:40]
+    page.evaluate("name => { localStorage['wibam-label-set'] = name; localStorage['wibam-author'] = 'anna'; }", name)
+    signed_in.open(f"/jobs/{job}/labelling?time_ns={TIMES_NS[2]}")
+    page.get_by_text("not labelled yet").wait_for()
+    return signed_in
+
+
+def saved(api: LiveApi, job: str, tab: Visit, time_ns: int = TIMES_NS[2]) -> dict[str, object]:
+    name = tab.page.evaluate("localStorage['wibam-label-set']")
+    found: dict[str, object] = api.http.get(f"/v1/jobs/{job}/labels/instants/{time_ns}", params={"set": name}).json()
+    return found
+
+
+def drag(tab: Visit, camera_id: str, start_m: np.ndarray, end_m: np.ndarray) -> None:
+    """Pull what is at a point of the world to another, in a camera's view."""
+    camera = tiny_rig()[camera_id]
+    canvas = tab.page.get_by_label(f"Frame of camera {camera_id}")
+    canvas.scroll_into_view_if_needed()
+    place = canvas.bounding_box()
+    assert place is not None
+    scale = place["width"] / camera.width_px
+    ends = [(camera.project(point)[0] + 0.5) * scale + [place["x"], place["y"]] for point in (start_m, end_m)]
+    mouse = tab.page.mouse
+    mouse.move(*ends[0])
+    mouse.down()
+    tab.page.wait_for_timeout(HUMAN_MS)
+    mouse.move(*(ends[0] + ends[1]) / 2)
+    mouse.move(*ends[1])
+    mouse.up()
+    tab.page.wait_for_timeout(HUMAN_MS)
+
+
+def front(box: np.ndarray) -> np.ndarray:
+    return box[:3] + box[3] / 2 * np.array([np.cos(box[6]), np.sin(box[6]), 0.0])
+
+
+def test_proposals_are_put_right_by_mouse_and_keys(api: LiveApi, labelling: Visit, job: str) -> None:
+    page, truth = labelling.page, boxes_at(TIMES_NS[2])
+    page.keyboard.press("p")
+    page.get_by_text("saved as version 1").wait_for()
+    before = np.array([one["box"] for one in saved(api, job, labelling)["labels"]["vehicles"]])  # type: ignore[index]
+    np.testing.assert_allclose(before, truth + FIT_ERROR, atol=1e-6)
+    for row, camera_id in enumerate(("north", "south")):
+        drag(labelling, camera_id, before[row, :3], truth[row, :3])
+        for _ in range(9):  # degrees, of the 8.6 that the fit is off
+            page.keyboard.press("e")
+        for _ in range(8):
+            page.keyboard.press("Alt+l")
+        page.keyboard.press(".")
+    page.keyboard.press("Enter")
+    page.get_by_role("button", name="Finished").wait_for()
+    page.get_by_text("saved as version").wait_for()
+    labelling.picture("labelling")
+    page.wait_for_function("!Object.keys(localStorage).some((key) => key.startsWith('wibam-labels '))")
+    found = saved(api, job, labelling)["labels"]
+    boxes = np.array([one["box"] for one in found["vehicles"]])  # type: ignore[index]
+    assert bev_iou_paired(before, truth).mean() < 0.7
+    assert bev_iou_paired(boxes, truth).mean() > 0.9
+    assert found["finished"] and found["seconds"] > 1  # type: ignore[index]
+    assert page.evaluate("performance.getEntriesByName('drag').length") >= 4
+
+
+def test_a_face_is_pulled_in_a_view(api: LiveApi, labelling: Visit, job: str) -> None:
+    page = labelling.page
+    page.keyboard.press("p")
+    page.get_by_text("saved as version 1").wait_for()
+    box = boxes_at(TIMES_NS[2])[0] + FIT_ERROR[:7]
+    longer = box.copy()
+    longer[3] += 1.0
+    longer[:2] += 0.5 * np.array([np.cos(box[6]), np.sin(box[6])])
+    drag(labelling, "north", front(box), front(longer))
+    page.get_by_text("saved as version 2").wait_for()
+    found = np.array(saved(api, job, labelling)["labels"]["vehicles"][0]["box"])  # type: ignore[index]
+    np.testing.assert_allclose(found, longer, atol=0.15)
+    page.keyboard.press("Control+z")
+    page.get_by_text("saved as version 3").wait_for()
+    np.testing.assert_allclose(saved(api, job, labelling)["labels"]["vehicles"][0]["box"], box, atol=1e-9)  # type: ignore[index]
+
+
+def test_a_new_vehicle_is_placed_in_the_plan_and_copied_on_with_its_motion(
+    api: LiveApi, labelling: Visit, job: str
+) -> None:
+    page = labelling.page
+    page.keyboard.press("p")
+    page.get_by_text("saved as version 1").wait_for()
+    plan = page.get_by_label("Labelled vehicles from above")
+    place = plan.bounding_box()
+    assert place is not None
+    page.keyboard.press("n")
+    page.mouse.move(place["x"] + place["width"] / 2, place["y"] + place["height"] / 2)
+    page.mouse.down()
+    page.mouse.move(place["x"] + place["width"] * 0.6, place["y"] + place["height"] / 2)
+    page.mouse.move(place["x"] + place["width"] * 0.7, place["y"] + place["height"] / 2)
+    page.mouse.up()
+    page.keyboard.press("i")
+    page.get_by_text("saved as version 2").wait_for()
+    [_, _, pulled, put] = (one["box"] for one in saved(api, job, labelling)["labels"]["vehicles"])  # type: ignore[index]
+    np.testing.assert_allclose(pulled, put, atol=0.1)
+    assert pulled[6] == pytest.approx(0.0, abs=0.02), "X is to the right"
+    page.keyboard.press("Delete")
+    page.keyboard.press("Delete")
+    page.keyboard.press("c")
+    page.get_by_text("saved as version 1", exact=True).wait_for()
+    copied = saved(api, job, labelling, TIMES_NS[3])["labels"]["vehicles"]  # type: ignore[index]
+    np.testing.assert_allclose([one["box"] for one in copied], boxes_at(TIMES_NS[3]) + FIT_ERROR, atol=1e-6)
+    np.testing.assert_allclose(copied[0]["velocity_mps"], [5, 0], atol=1e-6)
+
+
+def test_what_is_not_saved_is_there_again_and_two_people_see_each_other(
+    api: LiveApi, labelling: Visit, playwright_browser: object, job: str
+) -> None:
+    page = labelling.page
+    page.keyboard.press("p")
+    page.get_by_text("saved as version 1").wait_for()
+    name = page.evaluate("localStorage['wibam-label-set']")
+    address = f"/jobs/{job}/labelling?time_ns={TIMES_NS[2]}"
+    page.route(
+        "**/labels/instants/*", lambda route: route.abort() if route.request.method == "PUT" else route.continue_()
+    )
+    page.keyboard.press("ArrowUp")
+    page.get_by_text("not saved").wait_for()
+    page.unroute_all()
+    with visit(playwright_browser, labelling.url) as other:  # type: ignore[arg-type]
+        other.sign_in()
+        other.page.evaluate(
+            "name => { localStorage['wibam-label-set'] = name; localStorage['wibam-author'] = 'ben'; }", name
+        )
+        other.open(address)
+        other.page.get_by_text("version 1 by anna").wait_for()
+        other.page.keyboard.press("ArrowDown")
+        other.page.get_by_text("saved as version 2").wait_for()
+    labelling.open(address)
+    page.get_by_text("ben saved this instant meanwhile").wait_for()
+    page.get_by_role("button", name="Go on with this").click()
+    page.get_by_text("saved as version 3").wait_for()
+    start = (boxes_at(TIMES_NS[2]) + FIT_ERROR)[0]
+    forward = 0.05 * np.array([np.cos(start[6]), np.sin(start[6])])
+    box = saved(api, job, labelling)["labels"]["vehicles"][0]["box"]  # type: ignore[index]
+    np.testing.assert_allclose(box[:2], start[:2] + forward, atol=1e-9)
+    labelling.complaints.clear()  # the console names what was cut off, and the refusal
+
+
+@pytest.mark.parametrize("scheme", ["light", "dark"])
+def test_axe_finds_nothing_serious(playwright_browser: object, api: LiveApi, job: str, scheme: str) -> None:
+    axe = pytest.importorskip("axe_playwright_python.sync_playwright", reason="axe is not installed: make setup").Axe()
+    with visit(playwright_browser, api.url, color_scheme=scheme) as tab:  # type: ignore[arg-type]
+        tab.sign_in()
+        page = tab.open(f"/jobs/{job}/labelling")
+        page.get_by_text("not labelled yet").wait_for()
+        page.get_by_role("button", name="Take the proposals").click()
+        page.get_by_text("saved as version").wait_for()
+        found = axe.run(page).response["violations"]
+        serious = [
+            f"{one['id']}: {node['html'][:120]} {node['failureSummary'][:200]}"
+            for one in found
+            if one["impact"] in ("serious", "critical")
+            for node in one["nodes"]
+        ]
+        assert serious == []
+
+
+def test_a_job_that_has_fitted_nothing_says_when_it_can_be_labelled(signed_in: Visit, api: LiveApi) -> None:
+    site = api.site(cameras=1)
+    api.upload(site, b"to be labelled later")
+    later = api.http.post(f"/v1/sites/{site}/jobs", json={}).json()["id"]
+    page = signed_in.open(f"/jobs/{later}/labelling")
+    page.get_by_text("There is nothing to label yet.").wait_for()
