@@ -27,6 +27,9 @@ DRIFT_SD_PPM = 30.0
 _DRIFT_FREEDOM = 2.0
 #: No change is timed better than this: lamps need time to light up, rows of a frame are exposed one by one.
 _SMALLEST_S = 0.002
+#: What the standard deviations of both ends of amber are multiplied by: they count as one observation. Amber lasts for
+#: whole seconds, whole numbers of frame intervals at most rates, so that both are timed with the same error.
+_AMBER_SHARED = np.sqrt(2.0)
 #: Residuals beyond this many standard deviations count less (a uniform error ends at 1.7).
 _HUBER = 2.0
 
@@ -230,7 +233,8 @@ def _system(
             rough_s, row = seen(camera_id, change.time_ns / 1e9)
             index.append(g)
             at.append(rough_s - group.time_s)
-            half.append(max(change.half_interval_ns / 1e9, _SMALLEST_S))
+            shared = _AMBER_SHARED if "amber" in (change.before, change.after) else 1.0
+            half.append(shared * max(change.half_interval_ns / 1e9, _SMALLEST_S))
             rows.append(row)
     between, between_at, between_sd = [], [], []
     for meeting in meetings:
