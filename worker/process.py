@@ -18,18 +18,13 @@ from typing import IO, Any
 
 import wibam_core
 from wibam_core.adapters import confine
+from wibam_core.adapters.system_files import system_files
 from wibam_core.documents.warnings import StageWarning
 from wibam_core.stages.execute import StageRequest
 
 #: What a stage may inherit. Everything else, the database's URL and the token's hash first of all, stays behind.
 _INHERITED = ("PATH", "LANG", "LC_ALL", "TZ", "LD_LIBRARY_PATH", "OMP_NUM_THREADS", "MKL_NUM_THREADS", "VIRTUAL_ENV",
               "CUDA_VISIBLE_DEVICES", "NVIDIA_VISIBLE_DEVICES")  # fmt: skip
-#: Programs and libraries of the system.
-_PROGRAM_FOLDERS = ("/usr", "/lib", "/lib64", "/bin", "/sbin")
-#: What libraries look up: themselves, the time zone, fonts, users' names, and the machine.
-_SYSTEM_SETTINGS = ("/etc/ld.so.cache", "/etc/localtime", "/etc/timezone", "/etc/fonts", "/etc/passwd", "/etc/group",
-                    "/etc/nsswitch.conf", "/etc/mime.types", "/etc/alternatives", "/proc", "/sys")  # fmt: skip
-_DEVICES = ("/dev/null", "/dev/zero", "/dev/full", "/dev/random", "/dev/urandom", "/dev/shm")
 _TAIL_LINES = 30
 _LONGEST_LINE = 1_000_000
 _GRACE_S = 3.0
@@ -149,7 +144,7 @@ class StageProcess:
         given = [f"--read={path.resolve()}" for path in reads]
         given += [f"--write={path.resolve()}" for path in (*writes, home, cache)]
         process = subprocess.Popen(
-            [*shim, "--offline", "--expendable", "--limited", *_system_files(), *given, "--", *program],
+            [*shim, "--offline", "--expendable", "--limited", *system_files(), *given, "--", *program],
             stdin=subprocess.DEVNULL,
             stdout=subprocess.PIPE,
             stderr=subprocess.PIPE,
@@ -251,21 +246,6 @@ def system_oom_kills() -> int:
     except OSError:
         return 0
     return next((int(line.split()[1]) for line in lines if line.startswith("oom_kill ")), 0)
-
-
-def _system_files() -> list[str]:
-    """What a program may use beside its own files, as options of the confining program."""
-    package = Path(wibam_core.__file__).resolve().parent
-    libraries = {Path(path).resolve() for path in (*sys.path, sys.prefix, sys.base_prefix) if path}
-    libraries.discard(package.parent)  # it may hold anything, where the project is used from a checkout
-    program = [*map(str, sorted(libraries)), str(package), *_PROGRAM_FOLDERS]
-    devices = [str(path) for path in Path("/dev").glob("nvidia*")]
-    return [
-        *(f"--program={path}" for path in program),
-        *(f"--read={path}" for path in _SYSTEM_SETTINGS),
-        *(f"--list={path}" for path in (package.parent,)),
-        *(f"--write={path}" for path in (*_DEVICES, *devices)),
-    ]
 
 
 def _environment(home: Path, cache: Path) -> dict[str, str]:

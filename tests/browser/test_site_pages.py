@@ -13,6 +13,7 @@ from tests.builders import look_at
 from tests.recordings import write_recording
 from tests.service import LiveApi
 from wibam_core.geometry.camera import Camera
+from wibam_core.stages.graph import STAGES
 
 WORLD = [(-8, -6, 0), (9, -5, 0), (7, 8, 0), (-6, 9, 0), (0, 1, 0), (3, -2, 0), (-4, 2, 0)]
 
@@ -137,7 +138,7 @@ def test_a_camera_is_calibrated_by_clicks_and_a_job_is_started(
     page.get_by_role("link", name="clicked").click()
     page.get_by_label("Training steps").fill("40")
     page.get_by_role("button", name="What would it do?").click()
-    page.locator("#planned li").nth(12).wait_for()
+    page.locator("#planned li").nth(len(STAGES) - 1).wait_for()
     page.get_by_role("button", name="Start").click()
     page.wait_for_url(re.compile("/jobs/job_"))
     job = api.http.get(f"/v1/jobs/{page.url.rpartition('/')[2]}").json()

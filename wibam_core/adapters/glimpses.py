@@ -14,6 +14,7 @@ from pydantic import BaseModel, ConfigDict
 
 import wibam_core
 from wibam_core.adapters import confine
+from wibam_core.adapters.system_files import system_files
 from wibam_core.errors import ServiceUnavailable, UnreadableVideo, WibamError
 from wibam_core.site import SignalRegion
 
@@ -87,10 +88,15 @@ class Glimpses:
 def _command(request: GlimpseRequest) -> list[str]:
     shim = [sys.executable, "-I", "-S", confine.__file__, "--parent", str(os.getpid()), "--nice", "5"]
     program = [sys.executable, "-P", "-m", "wibam_core.adapters.glimpse", request.model_dump_json()]
-    return [*shim, "--offline", "--expendable", "--limited", "--", *program]
+    reads = [*system_files(), f"--read={request.path.resolve()}"]
+    return [*shim, "--offline", "--expendable", "--limited", *reads, "--", *program]
 
 
 def _environment() -> dict[str, str]:
     """Without our secrets."""
     kept = {name: os.environ[name] for name in _INHERITED if name in os.environ}
-    return {**kept, "PYTHONPATH": str(Path(wibam_core.__file__).resolve().parent.parent), "OMP_NUM_THREADS": "1"}
+    return {
+        **kept,
+        "PYTHONPATH": str(Path(wibam_core.__file__).resolve().parent.parent),
+        "PYTHONDONTWRITEBYTECODE": "1",
+    }
