@@ -36,15 +36,15 @@ def _write(stage: str, folder: Path) -> None:
     writer = ArtifactWriter(stage, folder, made_by(stage))
     if stage == "refine":
         writer.write(catalogue.RIG, tiny_rig())
-    if stage == "frames":
+    if stage == catalogue.FRAMES.stage:
         tiny_site(writer.new_file(catalogue.FRAMES))
-    if stage == "associate":
+    if stage == catalogue.ANNOTATIONS.stage:
         writer.write(catalogue.ANNOTATIONS, _site(folder).instants)
-    if stage == "dataset":
+    if stage == catalogue.SPLIT.stage:
         subsets = {"train": (), "val": (), "test": TIMES_NS}
         nobody = dict.fromkeys(subsets, frozenset[int]())
         writer.write(catalogue.SPLIT, Split(times_ns=subsets, left_out_tracks=nobody))
-    if stage == "lift":
+    if stage == catalogue.FITS.stage:
         fits = [Vehicles3D.of(f.time_ns, f.boxes + FIT_ERROR, f.classes, f.ids) for f in _site(folder).lifts]
         writer.write(catalogue.FITS, fits)
 

@@ -349,7 +349,7 @@ async function start() {
   showTitle(job);
   showTabs(job);
   const done = new Set(job.stages.filter((/** @type {any} */ one) => ["succeeded", "reused"].includes(one.state)).map((/** @type {any} */ one) => one.name));
-  if (!["calibrate", "frames", "dataset", "lift"].every((name) => done.has(name))) { fill(byId("nothing"), message("plain", "there is nothing to label yet", "Instants can be labelled once the stage “Fit 7DoF boxes to all views” has finished.")); return; }
+  if (!["frames", "dataset", "lift"].every((name) => done.has(name))) { fill(byId("nothing"), message("plain", "there is nothing to label yet", "Instants can be labelled once the stage “Fit 7DoF boxes to all views” has finished.")); return; }
   const [scene, found] = await Promise.all([get(`/v1/jobs/${jobId}/scene`), get(`/v1/jobs/${jobId}/instants`)]);
   stored = found;
   cameras = scene.cameras.map((/** @type {any} */ camera) => new Camera(camera));
