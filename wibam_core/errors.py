@@ -100,6 +100,8 @@ class CalibrationError(InputError):
 class UnknownClock(InputError):
     """No witness says how a camera's clock runs against the others'."""
 
+    code = "unknown_clock"
+
 
 class NoSignalChange(InputError):
     code = "no_signal_change"

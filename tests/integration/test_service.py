@@ -98,7 +98,7 @@ class TestJobs:
         job = client.wait(client.create_job(site, OPTIONS).id, updates.append, timeout_s=PATIENCE_S, interval_s=0.1)
         assert job.state is JobState.FAILED
         assert job.error is not None
-        assert job.error.code == "no_signal_change"
+        assert job.error.code == "unknown_clock"
         assert job.error.hint
         assert job.error.details["stage"] == "sync"
         assert stage(job, "preflight") is StageState.SUCCEEDED
@@ -147,6 +147,14 @@ class TestJobs:
         assert stage(ended, "preflight").has_outputs
         client.delete_job(job.id)
         assert job.id not in {found.id for found in client.jobs()}
+
+    def test_the_oldest_job_ends_before_the_newest_begins(self, client: WibamClient, recording: Path) -> None:
+        site = send(client, recording)
+        options = [{"preflight": {"min_overlap_s": 1.0 + number / 100}} for number in range(4)]  # nothing is reused
+        jobs = [client.create_job(site, option).id for option in options]
+        wait_until(lambda: stage(client.job(jobs[-1]), "preflight") is not StageState.QUEUED, PATIENCE_S)
+        assert client.job(jobs[0]).state.is_terminal
+        wait_until(lambda: client.job(jobs[-1]).state.is_terminal, PATIENCE_S)
 
     def test_what_cannot_work_is_refused_at_once(self, client: WibamClient, recording: Path) -> None:
         site = send(client, recording, cameras=("cam1",))
