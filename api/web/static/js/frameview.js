@@ -94,6 +94,14 @@ export class FrameView {
     this.#move(before[0] - after[0], before[1] - after[1]);
   }
 
+  /** Show a part of the picture as large as it fits, or all of it. @param {number[]|null} part x0, y0, x1, y1 in px of the recording */
+  lookAt(part) {
+    const least = this.canvas.width / this.width, [x0, y0, x1, y1] = part ?? [0, 0, this.width, this.height];
+    this.scale = part ? Math.min(60, Math.max(least, Math.min(this.canvas.width / Math.max(x1 - x0, 1), this.canvas.height / Math.max(y1 - y0, 1)))) : least;
+    this.origin = [(x0 + x1 - this.canvas.width / this.scale) / 2, (y0 + y1 - this.canvas.height / this.scale) / 2];
+    this.#move(0, 0);
+  }
+
   /** @param {number} u @param {number} v */
   #move(u, v) {
     const shown = [this.canvas.width / this.scale, this.canvas.height / this.scale];

@@ -260,7 +260,7 @@ function keys(event) {
   timer.act(model.chosen);
   const key = event.key.toLowerCase(), vehicle = model.current;
   const box = vehicle && !control && !readOnly ? boxAfterKey(vehicle.box, event) : null;
-  const walk = /** @type {Object<string, () => void>} */ ({ ",": () => choose(-1), ".": () => choose(1), pageup: () => step(-1), pagedown: () => step(1) });
+  const walk = /** @type {Object<string, () => void>} */ ({ ",": () => choose(-1), ".": () => choose(1), v: lookCloser, pageup: () => step(-1), pagedown: () => step(1) });
   const work = /** @type {Object<string, () => void>} */ ({
     n: () => setPlacing(!placing), i: () => place(plan.centre), escape: () => setPlacing(false), delete: remove, x: () => model.update({ ignored: !vehicle?.ignored }), f: snapToFit, p: takeProposals,
     g: () => vehicle && model.update({ box: grounded(vehicle.box) }), r: turnAround, c: () => attempt(copyOn), enter: finish,
@@ -278,6 +278,16 @@ function choose(by) {
   model.cycle(by);
   model.endStep();
   redraw();
+}
+
+/** Enlarge all views around the chosen vehicle, or show them whole again. */
+function lookCloser() {
+  const vehicle = model.current, closer = byId("closer").getAttribute("aria-pressed") !== "true" && vehicle;
+  byId("closer").setAttribute("aria-pressed", String(Boolean(closer)));
+  for (const camera of cameras) {
+    const around = closer ? camera.boxAround(later(vehicle, lateS(camera.id))) : null, margin = around ? 0.6 * Math.max(around[2] - around[0], around[3] - around[1]) : 0;
+    views.get(camera.id)?.lookAt(around && [around[0] - margin, around[1] - margin, around[2] + margin, around[3] + margin]);
+  }
 }
 
 function turnAround() {
@@ -317,7 +327,7 @@ async function compare() {
 
 function listen() {
   const on = (/** @type {string} */ id, /** @type {() => any} */ work) => byId(id).addEventListener("click", () => { timer.act(model.chosen); attempt(async () => work()); });
-  for (const [id, work] of /** @type {Array<[string, () => any]>} */ ([["before", () => step(-1)], ["after", () => step(1)], ["compare", compare]])) on(id, work);
+  for (const [id, work] of /** @type {Array<[string, () => any]>} */ ([["before", () => step(-1)], ["after", () => step(1)], ["compare", compare], ["closer", lookCloser]])) on(id, work);
   for (const [id, work] of /** @type {Array<[string, () => any]>} */ ([
     ["propose", takeProposals], ["new", () => setPlacing(!placing)], ["undo", () => model.undo()], ["redo", () => model.redo()], ["copy", copyOn], ["finish", finish], ["remove", remove],
     ["snap", snapToFit], ["ground", () => model.current && model.update({ box: grounded(model.current.box) })], ["reverse", turnAround], ["evaluate", evaluate],
