@@ -313,12 +313,20 @@ class LabelledInstant:
         vehicles: in the world.
         visibility: camera id -> (N,) share of the vehicle's silhouette that the camera sees, in [0, 1];
             0 where it is out of view.
+        velocities_mps: (N, 2) along world X and Y; NaN, or not given, where unknown.
     """
 
     vehicles: Vehicles3D
     visibility: Mapping[str, FloatArray]
+    velocities_mps: FloatArray = field(default_factory=lambda: np.empty((0, 2)))
 
     def __post_init__(self) -> None:
+        velocities = np.asarray(self.velocities_mps, dtype=np.float64).reshape(-1, 2)
+        if not len(velocities):
+            velocities = np.full((len(self.vehicles), 2), np.nan)
+        if len(velocities) != len(self.vehicles):
+            raise ValueError(f"{len(self.vehicles)} vehicles, {len(velocities)} velocities")
+        object.__setattr__(self, "velocities_mps", velocities)
         for camera_id, values in self.visibility.items():
             if np.shape(values) != (len(self.vehicles),):
                 raise ValueError(f"visibility of {camera_id} must have one number per vehicle")

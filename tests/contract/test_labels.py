@@ -15,7 +15,7 @@ from tests.service import LiveApi
 from tests.site_dataset import boxes_at
 from wibam_core.formats.labels import read_labels
 
-CAR = {"id": 7, "class": "car", "box": [0.0, 1.0, 0.75, 4.4, 1.8, 1.5, 0.0]}
+CAR = {"id": 7, "class": "car", "box": [0.0, 1.0, 0.75, 4.4, 1.8, 1.5, 0.0], "velocity_mps": [5.0, 0.0]}
 
 
 @pytest.fixture(scope="module")
@@ -96,6 +96,7 @@ def test_only_finished_instants_are_exported(api: LiveApi, job: str, tmp_path: A
         [instant] = read_labels(path)
         assert instant.vehicles.time_ns == TIMES_NS[2]
         np.testing.assert_allclose(instant.vehicles.boxes, [CAR["box"]])
+        assert instant.velocities_mps.tolist() == [[5.0, 0.0]]
         assert set(instant.visibility) == {"north", "east", "south"}
     coco = api.http.get(f"{address}/coco", params={"set": "exported"}).json()
     assert {one["track_id"] for one in coco["annotations"]} == {7}

@@ -8,10 +8,11 @@ from __future__ import annotations
 
 from bisect import bisect_left, bisect_right
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 
-from wibam_core.geometry.box3d import YAW
+from wibam_core.geometry.box3d import XY, YAW
 from wibam_core.geometry.se3 import normalise_angle
 from wibam_core.scene import LabelledInstant, Vehicles3D
 
@@ -19,7 +20,7 @@ from wibam_core.scene import LabelledInstant, Vehicles3D
 EXACT_NS = 1_000_000
 #: Between labels at most this far apart a vehicle's state is interpolated.
 MAX_GAP_NS = 200_000_000
-#: Labels without a neighbour to interpolate with are taken as they are up to this far.
+#: Labels without a neighbour to interpolate with are taken up to this far: moved, where their velocity is known.
 NEAREST_NS = 40_000_000
 
 
@@ -61,7 +62,13 @@ class LabelTimeline:
             return self._labels[nearest]
         if len(near) == 2 and self._times[after] - self._times[after - 1] <= MAX_GAP_NS:
             return _between(self._labels[after - 1], self._labels[after], time_ns)
-        return self._labels[nearest] if distance <= NEAREST_NS else None
+        return _moved(self._labels[nearest], time_ns) if distance <= NEAREST_NS else None
+
+
+def _moved(label: LabelledInstant, time_ns: int) -> LabelledInstant:
+    boxes = label.vehicles.boxes.copy()
+    boxes[:, XY] += np.nan_to_num(label.velocities_mps) * (time_ns - label.vehicles.time_ns) * 1e-9
+    return replace(label, vehicles=replace(label.vehicles, time_ns=time_ns, boxes=boxes))
 
 
 def _between(first: LabelledInstant, second: LabelledInstant, time_ns: int) -> LabelledInstant:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
+from dataclasses import replace
 
 import numpy as np
 
@@ -32,4 +33,4 @@ def _of_views(label: LabelledInstant, rig: CameraRig) -> LabelledInstant:
             with np.errstate(divide="ignore", invalid="ignore"):
                 shown = np.nan_to_num(areas_px2(within) / areas_px2(whole))
             visibility[view.id] = np.asarray(label.visibility[camera_id]) * shown
-    return LabelledInstant(label.vehicles, visibility)
+    return replace(label, visibility=visibility)

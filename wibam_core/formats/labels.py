@@ -19,11 +19,13 @@ from wibam_core.errors import InvalidLabels
 from wibam_core.formats import tables
 from wibam_core.geometry.box3d import BOX_FIELDS, SIZE
 from wibam_core.road_users import CLASSES
-from wibam_core.scene import LabelledInstant, Vehicles3D
+from wibam_core.scene import FloatArray, LabelledInstant, Vehicles3D
 from wibam_core.text import NotUnicode, decode_text
 
+_VELOCITY = ("velocity_x_mps", "velocity_y_mps")
 #: ``vehicle_id`` is the same for one vehicle over time, or absent. ``visibility``: camera id -> share of the
-#: silhouette that the camera sees, in [0, 1]; a camera that is not named does not see the vehicle.
+#: silhouette that the camera sees, in [0, 1]; a camera that is not named does not see the vehicle. The velocity may be
+#: absent.
 SCHEMA = pa.schema(
     [
         pa.field("time_ns", pa.int64(), nullable=False),
@@ -31,6 +33,7 @@ SCHEMA = pa.schema(
         tables.CLASS_COLUMN,
         *tables.BOX_COLUMNS,
         pa.field("visibility", pa.map_(pa.string(), pa.float64()), nullable=False),
+        *(pa.field(name, pa.float64()) for name in _VELOCITY),
     ]
 )
 
@@ -70,6 +73,9 @@ def read_labels(path: Path) -> list[LabelledInstant]:
     classes = tables.class_indices(table, InvalidLabels)
     boxes = tables.stack_columns(table, BOX_FIELDS)
     visibility = [dict(cell) for cell in table["visibility"].to_pylist()]
+    velocities = np.stack([np.array(table[name].to_pylist(), dtype=np.float64) for name in _VELOCITY], axis=-1)
+    if np.isinf(velocities).any():
+        raise InvalidLabels("a label has a velocity that is not finite", hint="Correct it, or leave it out.")
     _check(times, boxes, ids, visibility)
     starts = np.flatnonzero(np.r_[True, np.diff(times) != 0]) if len(times) else np.empty(0, np.int64)
     found = []
@@ -79,6 +85,7 @@ def read_labels(path: Path) -> list[LabelledInstant]:
             LabelledInstant(
                 Vehicles3D.of(int(times[a]), boxes[a:b], classes[a:b], ids[a:b]),
                 {camera: np.array([cell.get(camera, 0.0) for cell in visibility[a:b]]) for camera in cameras},
+                velocities[a:b],
             )
         )
     found += [LabelledInstant(Vehicles3D.of(time, np.empty((0, 7))), {}) for time in empty]
@@ -103,9 +110,15 @@ def _rows(instant: LabelledInstant) -> list[dict[str, Any]]:
             "class": CLASSES[int(v.classes[i])].value,
             **{name: float(value) for name, value in zip(BOX_FIELDS, v.boxes[i], strict=True)},
             "visibility": {camera: float(values[i]) for camera, values in instant.visibility.items()},
+            **_velocity(instant.velocities_mps[i]),
         }
         for i in range(len(v))
     ]
+
+
+def _velocity(velocity: FloatArray) -> dict[str, float]:
+    """Left out where it is unknown."""
+    return dict(zip(_VELOCITY, velocity.tolist(), strict=True)) if np.isfinite(velocity).all() else {}
 
 
 def _table(rows: list[dict[str, Any]]) -> pa.Table:

@@ -42,6 +42,7 @@ def labelled_instant(labels: HandLabels, rig: CameraRig) -> LabelledInstant:
     return LabelledInstant(
         Vehicles3D.of(labels.time_ns, boxes_of(labels), classes, ids),
         {camera_id: shares * asked_for for camera_id, shares in visibility_of(labels, rig).items()},
+        np.array([vehicle.velocity_mps for vehicle in labels.vehicles], np.float64).reshape(-1, 2),
     )
 
 

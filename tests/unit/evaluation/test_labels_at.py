@@ -1,5 +1,7 @@
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -34,6 +36,15 @@ def test_a_vehicle_that_only_one_neighbour_has_is_kept_but_hidden() -> None:
     assert found is not None
     assert found.vehicles.ids.tolist() == [1, 5]
     assert found.visibility["a"].tolist() == [1.0, 0.0]
+
+
+def test_alone_a_label_is_moved_by_its_velocity() -> None:
+    alone = replace(instant(0, {1: (0.0, 0), 2: (9.0, 0)}), velocities_mps=np.array([[10.0, -5.0], [np.nan, np.nan]]))
+    found = LabelTimeline([alone]).at(20 * MS)
+    assert found is not None
+    np.testing.assert_allclose(found.vehicles.boxes[:, :2], [[0.2, -0.1], [9.0, 0.0]])
+    assert found.vehicles.time_ns == 20 * MS
+    assert LabelTimeline([alone]).at(50 * MS) is None
 
 
 def test_exact_within_a_millisecond_and_nothing_far_from_any_label() -> None:
