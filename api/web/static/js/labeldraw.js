@@ -5,6 +5,9 @@ import { token } from "./plan.js";
 
 const HANDLE_PX = 5, KNOB_PX = 26, NEAR_PX = 9, MOST_ALONG = 0.8; // px of the screen; cosine to the line of sight
 
+/** The chosen one is white with a dark border, which no class is. */
+const CHOSEN = [["#10161c", 3.4], ["#ffffff", 1.6]];
+
 /** Canvas px for each px of the screen. @param {HTMLCanvasElement} canvas */
 function unit(canvas) {
   return canvas.width / (canvas.clientWidth || canvas.width);
@@ -12,11 +15,6 @@ function unit(canvas) {
 
 /** @typedef {import("./labelmodel.js").Vehicle} Vehicle */
 /** @typedef {{kind: "body"|"turn"|"face", id: number, face?: {name: string, size: number, side: number}}} Grip what a pointer has taken hold of */
-
-/** @param {Vehicle} vehicle @param {boolean} chosen @param {Map<string, string>} colours */
-function colourOf(vehicle, chosen, colours) {
-  return chosen ? "#f5b301" : (colours.get(vehicle.class) ?? "#888888");
-}
 
 /** Where one turns a box in the plan: ahead of its front. @param {import("./plan.js").Plan} plan @param {number[]} box @returns {number[]} canvas px */
 function knob(plan, box) {
@@ -44,7 +42,7 @@ export function drawVehicles(plan, context, vehicles, chosen, colours) {
     context.stroke();
     context.setLineDash([]);
     context.fillStyle = token("--ink");
-    context.font = "600 13px system-ui, sans-serif";
+    context.font = `600 ${Math.round(11 * unit(plan.canvas))}px system-ui, sans-serif`;
     context.textAlign = "center";
     context.fillText(String(vehicle.id), x, y - 7);
     if (!marked) continue;
@@ -78,14 +76,16 @@ export function drawCuboids(view, context, camera, vehicles, chosen, colours, la
   for (const vehicle of vehicles) {
     const marked = vehicle.id === chosen, box = later(vehicle, lateS), around = camera.boxAround(box);
     if (!around) continue;
-    context.strokeStyle = colourOf(vehicle, marked, colours);
-    context.lineWidth = (marked ? 2 : 1.2) * unit(view.canvas);
+    const lines = [...camera.boxEdges(box), ...frontCross(camera, box)];
     context.setLineDash(vehicle.ignored ? [6, 5] : []);
-    for (const edge of camera.boxEdges(box)) {
-      view.trace(context, edge);
-      context.stroke();
+    for (const [colour, width] of marked ? CHOSEN : [[colours.get(vehicle.class) ?? "#888888", 1.2]]) {
+      context.strokeStyle = String(colour);
+      context.lineWidth = Number(width) * unit(view.canvas);
+      for (const line of lines) {
+        view.trace(context, line);
+        context.stroke();
+      }
     }
-    cross(view, context, camera, box);
     context.setLineDash([]);
     const [x, y] = view.toCanvas([(around[0] + around[2]) / 2, around[1]]);
     context.fillStyle = context.strokeStyle;
@@ -112,14 +112,11 @@ function handles(view, camera, box) {
   return found;
 }
 
-/** A cross over the front says where a box heads. @param {import("./frameview.js").FrameView} view @param {CanvasRenderingContext2D} context @param {import("./projection.js").Camera} camera @param {number[]} box */
-function cross(view, context, camera, box) {
+/** A cross over the front says where a box heads: two lines in px. @param {import("./projection.js").Camera} camera @param {number[]} box */
+function frontCross(camera, box) {
   const [x, y, z] = faceCentre(box, FACES[0]), c = Math.cos(box[6]), s = Math.sin(box[6]);
   const at = (/** @type {number} */ left, /** @type {number} */ up) => [x - (s * left * box[4]) / 2, y + (c * left * box[4]) / 2, z + (up * box[5]) / 2];
-  for (const [from, to] of [[at(1, -1), at(-1, 1)], [at(-1, -1), at(1, 1)]]) {
-    view.trace(context, camera.line(from, to));
-    context.stroke();
-  }
+  return [camera.line(at(1, -1), at(-1, 1)), camera.line(at(-1, -1), at(1, 1))];
 }
 
 /** The handle within reach that is nearest, unless the middle of the box is nearer. @template {{at: number[]}} T @param {T[]} grips @param {number[]} at @param {number[]} middle @param {number} reach @returns {T|null} */

@@ -55,7 +55,7 @@ function redraw() {
 
 /** Whatever was changed is saved. */
 function changed() {
-  store?.put(model.vehicles.map((vehicle) => ({ ...withMotion(vehicle), seconds: vehicle.seconds + (timer.vehicles.get(vehicle.id) ?? 0) })), model.finished, timer.seconds);
+  if (!readOnly) store?.put(model.vehicles.map((vehicle) => ({ ...withMotion(vehicle), seconds: vehicle.seconds + (timer.vehicles.get(vehicle.id) ?? 0) })), model.finished, timer.seconds);
   redraw();
 }
 
@@ -144,7 +144,7 @@ function showList() {
   const state = (/** @type {number} */ time) => { const one = labelled.get(time); return !one ? "○ suggested" : `${one.finished ? "● finished" : "◐ begun"}, ${one.vehicles}`; };
   fill(byId("instant"), shown.map((time) => h("option", { value: time, selected: time === timeNs }, `${clock(time / 1e9)} ${state(time)}`)));
   const finished = [...labelled.values()].filter((one) => one.finished), seconds = finished.reduce((sum, one) => sum + one.seconds, 0);
-  byId("progress").textContent = `${finished.length} instants finished with ${finished.reduce((sum, one) => sum + one.vehicles, 0)} vehicles${finished.length ? `, ${duration(seconds / finished.length)} of work each` : ""}.`;
+  byId("progress").textContent = `${finished.length} instant${finished.length === 1 ? "" : "s"} finished with ${finished.reduce((sum, one) => sum + one.vehicles, 0)} vehicles${finished.length ? `, ${duration(seconds / finished.length)} of work each` : ""}.`;
   for (const format of ["parquet", "coco", "wibam"]) byId(`as-${format}`).href = `/v1/jobs/${jobId}/labels/export/${format === "wibam" ? "wibam-dataset" : format}${query({ set: setName() })}`;
 }
 
@@ -335,8 +335,11 @@ function listen() {
   byId("instant").addEventListener("change", () => attempt(() => open(Number(byId("instant").value))));
   byId("present").addEventListener("change", () => { model.chosen = Number(byId("present").value); redraw(); });
   byId("author").addEventListener("change", () => localStorage.setItem("wibam-author", byId("author").value));
-  byId("set").addEventListener("change", () => attempt(async () => { localStorage.setItem("wibam-label-set", setName()); await store?.flush(); await loadList(); await open(timeNs); }));
+  byId("set").addEventListener("change", () => attempt(async () => {
+    if (!byId("set").reportValidity()) return;
+    localStorage.setItem("wibam-label-set", setName()); await store?.flush(); await loadList(); await open(timeNs); }));
   byId("fields").addEventListener("submit", (/** @type {Event} */ event) => event.preventDefault());
+  for (const input of byId("fields").elements) input.disabled = readOnly;
   document.addEventListener("keydown", keys, { capture: true });
   document.addEventListener("wheel", wheel, { capture: true, passive: false });
   document.addEventListener("visibilitychange", () => { if (document.hidden) store?.flush(); });
