@@ -68,7 +68,7 @@ KNOWN = (
     ),
     Mistake(
         "the published method is shaken too",
-        "wibam_core/training/finetune.py",
+        "wibam_core/training/batches.py",
         'self._config.method != "paper" and rng.random() < SHAKEN_SHARE',
         "rng.random() < SHAKEN_SHARE",
         ("tests/unit/training/test_finetune.py",),

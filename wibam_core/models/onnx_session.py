@@ -47,11 +47,10 @@ def _data_elsewhere(content: bytes) -> str | None:
     Content that is no ONNX file has no tensors; ONNX Runtime says what is wrong with it.
     """
     import onnx  # takes longer to import than all else here, and hardly any program opens a network
-    from google.protobuf.message import DecodeError  # type: ignore[import-untyped]
 
     try:
         model = onnx.load_model_from_string(content)
-    except (DecodeError, ValueError):
+    except Exception:  # protobuf's own, directly below it
         return None
     left: list[onnx.GraphProto | onnx.FunctionProto] = [model.graph, *model.functions]
     while left:

@@ -19,6 +19,7 @@ from tests.multiview import Scene, crossing
 from tests.stage_folders import StageFolders
 from wibam_core.artifacts import catalogue
 from wibam_core.config import AssociateConfig, DatasetConfig, FinetuneConfig, LiftConfig
+from wibam_core.documents.refinement import Refinement
 from wibam_core.documents.split import SUBSETS, Split
 from wibam_core.evaluation.instants import exposure_times
 from wibam_core.evaluation.labels_at import LabelTimeline
@@ -58,6 +59,7 @@ def job(tmp_path_factory: pytest.TempPathFactory) -> StageFolders:
     """What the stages from detection to the fits leave of a small scene."""
     job, scene = StageFolders(tmp_path_factory.mktemp("job")), crossing()
     job.give(catalogue.RIG, scene.rig)
+    job.give(catalogue.REFINEMENT, Refinement(method="none", taken=False, reason="it is exact"))
     job.give_detected(scene.unassociated)
     site = site_of(scene.rig)
     associate.run(job.context("associate", site), AssociateConfig())

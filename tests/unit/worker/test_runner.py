@@ -43,7 +43,9 @@ def failure(service: Service, job: Job) -> dict:
 
 class TestRunning:
     def test_a_stage_is_run_published_and_followed_by_the_next(self, service: Service, recording: Path) -> None:
-        job = service.job(recording, stages=2)
+        job = service.job(recording, stages=3)
+        assert service.runner().run(StageKey(job.id, "calibrate"))
+        assert service.dispatched == []
         assert service.runner().run(key(job))
         stage = service.jobs.job(job.id).stage(PREFLIGHT)
         assert stage is not None
@@ -188,8 +190,9 @@ class TestFailing:
         assert failure(service, job)["code"] == "stage_timed_out"
 
     def test_missing_outputs_of_an_earlier_stage_are_named(self, service: Service, recording: Path) -> None:
-        job = service.job(recording, stages=2)
+        job = service.job(recording, stages=3)
         service.runner().run(key(job))
+        service.runner().run(StageKey(job.id, "calibrate"))
         service.store.remove(PREFLIGHT, job.stages[0].hash)
         service.runner().run(StageKey(job.id, "sync"))
         error = failure(service, job)
