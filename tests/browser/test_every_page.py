@@ -108,7 +108,8 @@ def test_conflicts_are_reviewed_and_open_the_player(signed_in: Visit, api: LiveA
     page.get_by_role("button", name="Conflict 0: confirmed").click()
     page.get_by_text("1 of 1 conflicts; 1 reviewed.").wait_for()
     page.get_by_label("Note on conflict 0").fill("seen twice")
-    page.keyboard.press("Enter")
+    with page.expect_response(lambda response: response.request.method == "PUT"):
+        page.keyboard.press("Enter")
     page.locator("#verdict").select_option("rejected")
     page.get_by_text("No conflict is like that").wait_for()
     page.locator("#verdict").select_option("confirmed")
