@@ -9,7 +9,7 @@ import pytest
 
 from tests.browser.conftest import Visit, visit
 from tests.labelled_job import FIT_ERROR, TIMES_NS, labelled_job
-from tests.service import LiveApi
+from tests.service import LiveApi, wait_until
 from tests.site_dataset import boxes_at, tiny_rig
 from wibam_core.geometry.iou import bev_iou_paired
 
@@ -79,7 +79,7 @@ def test_proposals_are_put_right_by_mouse_and_keys(api: LiveApi, labelling: Visi
     page.get_by_role("button", name="Finished").wait_for()
     page.get_by_text("saved as version").wait_for()
     labelling.picture("labelling")
-    page.wait_for_function("!Object.keys(localStorage).some((key) => key.startsWith('wibam-labels '))")
+    wait_until(lambda: not page.evaluate("Object.keys(localStorage).some((key) => key.startsWith('wibam-labels '))"))
     found = saved(api, job, labelling)["labels"]
     boxes = np.array([one["box"] for one in found["vehicles"]])  # type: ignore[index]
     assert bev_iou_paired(before, truth).mean() < 0.7
@@ -132,6 +132,38 @@ def test_a_new_vehicle_is_placed_in_the_plan_and_copied_on_with_its_motion(
     copied = saved(api, job, labelling, TIMES_NS[3])["labels"]["vehicles"]  # type: ignore[index]
     np.testing.assert_allclose([one["box"] for one in copied], boxes_at(TIMES_NS[3]) + FIT_ERROR, atol=1e-6)
     np.testing.assert_allclose(copied[0]["velocity_mps"], [5, 0], atol=1e-6)
+
+
+def test_in_the_plan_a_vehicle_is_dragged_turned_and_stretched(api: LiveApi, labelling: Visit, job: str) -> None:
+    page = labelling.page
+    place = page.get_by_label("Labelled vehicles from above").bounding_box()
+    assert place is not None
+    middle = np.array([place["x"] + place["width"] / 2, place["y"] + place["height"] / 2])
+
+    def pull(start: np.ndarray, end: np.ndarray, version: int) -> np.ndarray:
+        page.mouse.move(*start)
+        page.mouse.down()
+        page.mouse.move(*(start + end) / 2)
+        page.mouse.move(*end)
+        page.mouse.up()
+        page.get_by_text(f"saved as version {version}").wait_for()
+        return np.array(saved(api, job, labelling)["labels"]["vehicles"][0]["box"])  # type: ignore[index]
+
+    page.keyboard.press("i")
+    page.get_by_text("saved as version 1").wait_for()
+    put = np.array(saved(api, job, labelling)["labels"]["vehicles"][0]["box"])  # type: ignore[index]
+    right, up = np.array([60.0, 0.0]), np.array([0.0, -60.0])
+    moved = pull(middle, middle + right, 2)
+    metres = moved[0] - put[0]
+    assert metres > 1.0
+    np.testing.assert_allclose(moved, put + [metres, 0, 0, 0, 0, 0, 0], atol=1e-6)
+    front_at = middle + right + [60.0 * moved[3] / 2 / metres, 0.0]
+    longer = pull(front_at, front_at + right / 3, 3)
+    np.testing.assert_allclose(longer, moved + [metres / 6, 0, 0, metres / 3, 0, 0, 0], atol=0.02)
+    knob = front_at + right / 3 + [26.0, 0.0]
+    centre = middle + right + right / 6  # the middle moved by half of what the front did
+    turned = pull(knob, centre + 2 * up, 4)
+    assert turned[6] == pytest.approx(np.pi / 2, abs=0.02)
 
 
 def test_what_is_not_saved_is_there_again_and_two_people_see_each_other(

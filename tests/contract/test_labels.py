@@ -51,6 +51,17 @@ def test_the_second_of_two_who_save_is_told(api: LiveApi, job: str) -> None:
     assert api.http.get(address, params={"version": 1}).json()["labels"]["vehicles"][0]["box"] == CAR["box"]
 
 
+def test_labels_are_those_of_all_jobs_on_the_footage_and_outlive_them(api: LiveApi) -> None:
+    job = labelled_job(api, b"outlived")
+    save(api, job, TIMES_NS[0], '"0"', finished=True)
+    site = api.http.get(f"/v1/jobs/{job}").json()["site_id"]
+    other = api.http.post(f"/v1/sites/{site}/jobs", json={}).json()["id"]
+    api.http.post(f"/v1/jobs/{other}/cancel")  # a job at work would keep others from what it has yet to find
+    assert api.http.delete(f"/v1/jobs/{job}").status_code == 204
+    [kept] = api.http.get(f"/v1/jobs/{other}/labels").json()["instants"]
+    assert (kept["time_ns"], kept["vehicles"], kept["finished"], kept["author"]) == (TIMES_NS[0], 1, True, "anna")
+
+
 @pytest.mark.parametrize(
     ("vehicles", "said"),
     [
