@@ -87,6 +87,14 @@ def test_the_proposal_is_the_fits_moved_to_the_instant(api: LiveApi, job: str) -
         np.testing.assert_allclose([one["velocity_mps"] for one in found], [[5, 0], [0, 0]], atol=1e-6)
 
 
+def test_visibility_may_be_of_a_view_that_is_cut_from_a_picture(api: LiveApi, job: str) -> None:
+    seen = [{**CAR, "visibility": {"north": 0.25, "omni.1": 0.5}}]
+    answer = save(api, job, TIMES_NS[0], '"0"', "views", vehicles=seen)
+    assert answer.status_code == 200, answer.text
+    assert answer.json()["labels"]["vehicles"][0]["visibility"] == {"north": 0.25, "omni.1": 0.5}
+    assert answer.json()["visibility"]["north"] == [0.25]
+
+
 def test_suggestions_leave_out_what_is_labelled(api: LiveApi, job: str) -> None:
     address = f"/v1/jobs/{job}/labels/suggestions"
     save(api, job, TIMES_NS[1], '"0"', "suggested")

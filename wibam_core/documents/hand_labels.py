@@ -8,12 +8,13 @@ from pydantic import AfterValidator, ConfigDict, Field
 
 from wibam_core.documents.base import Document, MeanSd
 from wibam_core.road_users import RoadUserClass
-from wibam_core.site import CameraId
 
 Metres = Annotated[float, Field(ge=-1e5, le=1e5)]
 Size = Annotated[float, Field(ge=0.05, le=60)]
 Speed = Annotated[float, Field(ge=-200, le=200)]
 Share = Annotated[float, Field(ge=0, le=1)]
+#: A camera, or a view that is cut from the picture of one with a wide lens.
+ViewId = Annotated[str, Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9_.-]{0,79}$")]
 Seconds = Annotated[float, Field(ge=0, le=1e7)]
 
 
@@ -29,7 +30,7 @@ class HandVehicle(Document):
     """Centre x, y, z, length, width, height in m and yaw in rad, in the world, at the time of the instant."""
     velocity_mps: tuple[Speed, Speed] = (0.0, 0.0)
     """Along world X and Y. Cameras expose frames a little before or after the instant, and see it moved by that."""
-    visibility: dict[CameraId, Share] = Field(default={})
+    visibility: dict[ViewId, Share] = Field(default={})
     """Camera -> share of the vehicle that it sees, where somebody corrected what is estimated."""
     ignored: bool = False
     """Nobody is asked for it and nobody is wrong who finds it: it is hidden, or cannot be told."""
