@@ -109,6 +109,13 @@ KNOWN = (
         ("tests/unit/tracking/test_tracker.py",),
     ),
     Mistake(
+        "clocks drift without a prior",
+        "wibam_core/sync/offsets.py",
+        "DRIFT_SD_PPM = 30.0",
+        "DRIFT_SD_PPM = 30000.0",
+        ("tests/unit/sync/test_offsets.py",),
+    ),
+    Mistake(
         "improbable conflicts are reported",
         "wibam_core/safety/conflicts.py",
         "if probability < config.min_probability:",

@@ -281,3 +281,14 @@ def test_document_holds_what_the_figures_need():
             assert camera["rms_after_s"] < 0.06
     assert len(document["groups"]) == len(result.groups)
     assert {o["camera"] for o in document["groups"][0]["observations"]} == set(changes)
+
+
+def test_a_minute_and_a_half_of_coarse_changes_says_little_of_the_drift():
+    """Crystals differ by tens of millionths; times that are known to 23 ms alone would say hundreds of them."""
+    rng = np.random.default_rng(5)
+    found_ppm = []
+    for _ in range(8):
+        changes, _, _ = record(rng, duration_s=100.0, signals=2)
+        clocks = estimate_clocks(changes, "c0").clocks
+        found_ppm += [1e6 * clocks[f"c{k}"].drift for k in range(1, 4)]
+    assert np.sqrt(np.mean(np.square(found_ppm))) < 60
