@@ -34,7 +34,7 @@ def row(site: Site, run: Run) -> Figures:
     rig = with_wrong_poses(site.rig, run["amount"], rng) if run["amount"] else site.rig
     detected = annotated(site.outputs.read(catalogue.SEARCHED_INSTANTS), site.outputs.read(catalogue.DETECTIONS))
     start = time.process_time()
-    refined = refine(detected, rig, CalibrationResiduals(cameras={}), RefineConfig())
+    refined = refine(detected, rig, CalibrationResiduals(cameras={}), RefineConfig(method="traffic"))
     seconds = time.process_time() - start
     return {
         "before": label_figures(refitted(site, rig, detected)),

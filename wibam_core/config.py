@@ -86,9 +86,9 @@ class DetectConfig(StageConfig):
 
 class RefineConfig(StageConfig):
     method: Literal["traffic", "none"] = Field(
-        "traffic",
-        description="'traffic': how the cameras are held, and where, is refined by the road users that several of them"
-        " see, and taken where it fits others better that it was not found by; 'none': cameras stay as calibrated",
+        "none",
+        description="'none': cameras stay as calibrated; 'traffic': how they are held, and where, is refined by the"
+        " road users that several of them see, and taken where it fits others better that it was not found by",
     )
     intrinsics: Literal["none", "focal", "focal_k1"] = Field(
         "none", description="refine each camera's focal length as well, or that and its first distortion coefficient"

@@ -21,7 +21,7 @@ from wibam_core.scene import CameraRig
 from wibam_core.stages import refine as stage
 
 NOTHING_KNOWN = CalibrationResiduals(cameras={})
-FEW = RefineConfig(min_vehicles=8)
+FEW = RefineConfig(method="traffic", min_vehicles=8)
 TURNED_DEG = 0.7
 
 
@@ -70,7 +70,7 @@ def test_the_stated_standard_deviations_hold_the_errors(refined: Refined) -> Non
         error = cv2.Rodrigues(camera.T_world_cam.rotation.T @ truth[name].T_world_cam.rotation)[0].ravel()
         sd = np.radians(refined.document.cameras[name].rotation_sd_deg)
         assert (np.abs(error) < 3 * sd).all()
-        assert (sd < np.radians(RefineConfig().rotation_sd_deg)).all()
+        assert (sd < np.radians(RefineConfig(method="traffic").rotation_sd_deg)).all()
 
 
 def test_cameras_that_are_right_stay_to_the_bit_and_an_error_they_may_have_is_stated() -> None:
@@ -94,7 +94,7 @@ def test_where_nothing_can_be_said_cameras_stay_and_it_is_said_why(options: dict
             replace(one, detections={name: one.detections[name] for name in [tuple(scene.rig)[k % 4]]})
             for k, one in enumerate(instants)
         ]
-    found = refine(instants, scene.rig, NOTHING_KNOWN, RefineConfig.model_validate(options))
+    found = refine(instants, scene.rig, NOTHING_KNOWN, RefineConfig.model_validate({"method": "traffic", **options}))
     assert found.rig is scene.rig and not found.document.taken
     assert words in found.document.reason
 
@@ -103,7 +103,7 @@ def test_where_one_vehicle_alone_is_held_out_cameras_stay() -> None:
     scene = crossing()
     few = [replace(one, detections={k: d.where(d.boxes[:, 0] < 420) for k, d in one.detections.items()})
            for one in scene.unassociated[:40]]  # fmt: skip
-    found = refine(few, scene.rig, NOTHING_KNOWN, RefineConfig(min_vehicles=4))
+    found = refine(few, scene.rig, NOTHING_KNOWN, RefineConfig(method="traffic", min_vehicles=4))
     assert not found.document.taken and found.rig is scene.rig
     assert "fewer than two vehicles" in found.document.reason
 
