@@ -21,8 +21,9 @@ from wibam_core.stages.graph import STAGES
 
 RUN_STAGE = "wibam.run_stage"
 _DAY_S = 24 * 3600
-#: Of a stage's message; for Redis, 0 is the most urgent.
-PRIORITIES = {name: len(STAGES) - 1 - place for place, name in enumerate(STAGES)}
+_LEAST_URGENT = 9
+#: Of a stage's message, from 0, the most urgent, to 9, as many as Celery tells apart on Redis.
+PRIORITIES = {name: _LEAST_URGENT - place * _LEAST_URGENT // (len(STAGES) - 1) for place, name in enumerate(STAGES)}
 _log = logging.getLogger(__name__)
 
 
@@ -36,7 +37,7 @@ def make_celery(broker_url: str) -> Celery:
     app.conf.update(
         broker_transport_options={
             "visibility_timeout": _DAY_S,
-            "priority_steps": sorted(PRIORITIES.values()),
+            "priority_steps": list(range(_LEAST_URGENT + 1)),
             "queue_order_strategy": "priority",
             "socket_connect_timeout": 3,
             "socket_timeout": 30,
