@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import json
 import os
 import signal
@@ -170,10 +171,15 @@ class TestDeaths:
         self, service: EmbeddedService, client: WibamClient, recording: Path
     ) -> None:
         job = client.create_job(send(client, recording), {"preflight": {"min_overlap_s": 1.2}})
-        wait_until(lambda: bool(stages_of(service.data_dir, 1.2)))
-        for pid in stages_of(service.data_dir, 1.2):
-            os.kill(pid, signal.SIGKILL)
-        failed = client.wait(job.id, timeout_s=PATIENCE_S)
+
+        def ended_by_kills() -> bool:
+            for pid in stages_of(service.data_dir, 1.2):
+                with contextlib.suppress(ProcessLookupError):  # it has just ended
+                    os.kill(pid, signal.SIGKILL)
+            return client.job(job.id).state.is_terminal
+
+        wait_until(ended_by_kills, PATIENCE_S)
+        failed = client.job(job.id)
         assert failed.error is not None
         assert failed.error.code == "stage_crashed"
 
