@@ -6,14 +6,15 @@ import logging
 import threading
 
 from api.services import Services
+from wibam_core.adapters.presence import departed
 
-_REAP_EVERY_S = 3.0
-_TIDY_EVERY = 100  # reaps
+_REAP_EVERY_S = 1.0
+_TIDY_EVERY = 300  # reaps
 _log = logging.getLogger(__name__)
 
 
 class Housekeeper:
-    """Reaps expired leases, tidies uploads and what killed attempts left.
+    """Takes lost leases back, tidies uploads and what killed attempts left.
 
     Any number may run at once, in any number of processes.
     """
@@ -33,7 +34,9 @@ class Housekeeper:
     def round(self, number: int) -> None:
         """One round; the first, and every so often another, a thorough one."""
         services = self._services
-        services.queue.dispatch(services.leases.reap(resend_all=number == 0))
+        lost = departed(services.folder.workers)
+        services.queue.dispatch(services.leases.reap(gone=lost.owners, resend_all=number == 0))
+        lost.forget()
         if number % _TIDY_EVERY == 0:
             services.uploads.tidy()
             services.stages.sweep(services.leases.running_hashes)

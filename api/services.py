@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import os
+import socket
 from dataclasses import dataclass
 from typing import Annotated
 
@@ -16,6 +18,7 @@ from wibam_core.adapters.label_store import LabelStore
 from wibam_core.adapters.lease_store import LeaseStore
 from wibam_core.adapters.queue import JobQueue, make_celery
 from wibam_core.adapters.results import JobResults
+from wibam_core.adapters.reuse import Reuse
 from wibam_core.adapters.review_store import ReviewStore
 from wibam_core.adapters.settings import ServiceSettings
 from wibam_core.adapters.site_store import SiteStore
@@ -35,6 +38,7 @@ class Services:
     jobs: JobStore
     leases: LeaseStore
     queue: JobQueue
+    reuse: Reuse
     results: JobResults
     labels: LabelStore
     stages: StageStore
@@ -48,6 +52,7 @@ class Services:
         folder = DataFolder(settings.data_dir)
         database = Database(settings.database_url)
         sites = SiteStore(database)
+        leases = LeaseStore(database, settings.leases)
         return cls(
             settings=settings,
             database=database,
@@ -57,8 +62,9 @@ class Services:
                 sites, folder, quota_bytes=settings.upload_quota_bytes, lifetime_s=settings.upload_lifetime_s
             ),
             jobs=JobStore(database),
-            leases=LeaseStore(database, settings.leases),
+            leases=leases,
             queue=JobQueue(make_celery(settings.broker_url)),
+            reuse=Reuse(leases, folder, f"{socket.gethostname()}:{os.getpid()}:api"),
             results=JobResults(folder.stages),
             labels=LabelStore(database),
             stages=StageStore(folder.stages),

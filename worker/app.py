@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import atexit
+import contextlib
 import logging
 import os
 from functools import cache
@@ -16,6 +18,7 @@ from wibam_core.adapters.job_rows import StageKey
 from wibam_core.adapters.job_store import JobStore
 from wibam_core.adapters.lease_store import LeaseStore
 from wibam_core.adapters.ownership import claim_folder
+from wibam_core.adapters.presence import Presence
 from wibam_core.adapters.queue import RUN_STAGE, JobQueue, make_celery
 from wibam_core.adapters.settings import ServiceSettings
 from worker.attacks import ATTACKS, kept_out
@@ -40,6 +43,9 @@ def _runner() -> StageRunner:
     """One a process, made in the process that uses it: database connections do not survive a fork."""
     database, folder = Database(_settings.database_url), DataFolder(_settings.data_dir)
     claim_folder(database, folder)  # outputs that this database does not name are removed
+    until_the_end = contextlib.ExitStack()
+    atexit.register(until_the_end.close)
+    presence = until_the_end.enter_context(Presence(folder.workers))
     return StageRunner(
         JobStore(database),
         LeaseStore(database, _settings.leases),
@@ -47,6 +53,7 @@ def _runner() -> StageRunner:
         _settings.limits,
         _settings.leases,
         JobQueue(app).dispatch,
+        presence.owner,
         lambda: _stopping.given,
     )
 

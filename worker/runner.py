@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import logging
-import os
-import socket
 import time
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field
@@ -18,18 +16,20 @@ from wibam_core.adapters.job_store import JobStore
 from wibam_core.adapters.lease_store import LeaseStore, LostLease
 from wibam_core.adapters.logs import JobLog
 from wibam_core.adapters.records import plain_json
+from wibam_core.adapters.reuse import Reuse, end_with_what_is_there
 from wibam_core.adapters.settings import StageLimits
 from wibam_core.config import PipelineConfig
 from wibam_core.documents.warnings import StageWarning
 from wibam_core.errors import StageError, StageOutOfMemory, StageTimedOut, WibamError
 from wibam_core.jobs.leases import Claim, LeasePolicy
 from wibam_core.jobs.records import Job, StageRun
+from wibam_core.jobs.states import StageState
 from wibam_core.stages.base import Summary
 from wibam_core.stages.execute import StageRequest
 from wibam_core.stages.graph import STAGES
 from wibam_core.stages.store import Attempt, StageStore
 from wibam_core.video.recording import Recording, RecordingFile
-from worker.failures import crash, is_full, no_space, system_error
+from worker.failures import crash, is_full, no_space, system_error, was_killed
 from worker.keeper import LeaseKeeper
 from worker.process import Done, Failed, LogLine, Progress, StageProcess, Warned, system_oom_kills
 
@@ -41,6 +41,13 @@ _SECONDS_BETWEEN_MEMORY_CHECKS = 0.5
 
 class _Unwanted(Exception):
     """The job was cancelled, or another stage of it failed."""
+
+
+class _Killed(Exception):
+    """A signal ended the stage; ``error`` is what that means to its user."""
+
+    def __init__(self, error: StageError) -> None:
+        self.error = error
 
 
 class _WorkerStops(Exception):
@@ -72,6 +79,7 @@ class StageRunner:
         limits: what a stage may take.
         policy: how leases are kept.
         dispatch: told of the stages that became ready.
+        owner: the name under which this process takes stages.
         stopping: whether this worker is asked to end.
     """
 
@@ -83,6 +91,7 @@ class StageRunner:
         limits: StageLimits,
         policy: LeasePolicy,
         dispatch: Callable[[Iterable[StageKey]], None],
+        owner: str,
         stopping: Callable[[], bool] = lambda: False,
     ) -> None:
         self._jobs = jobs
@@ -93,7 +102,8 @@ class StageRunner:
         self._policy = policy
         self._dispatch = dispatch
         self._stopping = stopping
-        self._owner = f"{socket.gethostname()}:{os.getpid()}"
+        self._owner = owner
+        self._reuse = Reuse(leases, folder, owner)
 
     def run(self, key: StageKey) -> bool:
         """Do what a message asks for; returns whether this delivery did the work. A second delivery does nothing."""
@@ -105,7 +115,7 @@ class StageRunner:
         except LostLease as lost:
             _log.warning("%s", lost)
             return False
-        self._dispatch(ready)
+        self._dispatch(self._reuse.settle(ready))
         self._tidy()
         return True
 
@@ -135,6 +145,11 @@ class StageRunner:
             except _WorkerStops:
                 account.write("given back: the worker was asked to end")
                 return self._leases.release(claim)
+            except _Killed as killed:
+                if self._policy.after_kill(claim.attempt) is StageState.QUEUED:
+                    account.write(f"{killed.error.message}; it is tried once more")
+                    return self._leases.retry(claim, killed.error.message)
+                return self._fail(claim, killed.error, keeper, account)
             except WibamError as error:
                 return self._fail(claim, error, keeper, account)
             except OSError as error:
@@ -162,12 +177,9 @@ class StageRunner:
     ) -> list[StageKey]:
         if self._leases.make_way(claim, self._store.remove):
             account.write("is made anew: its old outputs are removed")
-        if self._store.find(stage.name, stage.hash) is not None:
-            account.write(f"reused: {stage.hash[:12]} is there already")
-            made = self._store.manifest(stage.name, stage.hash)
-            for warning in made.warnings:
-                account.warn(warning)
-            return self._leases.succeed(claim, made.summary, lambda: None, account.warnings, reused=True)
+        ready = end_with_what_is_there(self._leases, self._store, claim, stage.hash, account.write)
+        if ready is not None:
+            return ready
         attempt = self._store.begin(stage.name, stage.hash, stage.frame_hash)
         try:
             account.write(f"started, attempt {claim.attempt}")
@@ -199,7 +211,9 @@ class StageRunner:
                 return dict(outcome.summary)
             if isinstance(outcome, Failed):
                 raise WibamError.from_dict(outcome.error)
-            raise crash(stage.name, process, system_killed=system_oom_kills() > oom_kills)
+            system_killed = system_oom_kills() > oom_kills
+            error = crash(stage.name, process, attempt=claim.attempt, system_killed=system_killed)
+            raise _Killed(error) if was_killed(process) else error
 
     def _listen(
         self, claim: Claim, process: StageProcess, keeper: LeaseKeeper, account: _Account

@@ -28,8 +28,9 @@ from api.schemas import (
     ShareLinkOut,
 )
 from api.services import Services, ServicesDep
+from wibam_core.adapters.job_rows import StageKey
 from wibam_core.adapters.logs import read_log
-from wibam_core.adapters.planning import plan_stages
+from wibam_core.adapters.planning import made_anew, plan_stages
 from wibam_core.jobs.records import Job
 from wibam_core.jobs.states import JobState
 from wibam_core.stages.graph import PlannedStage, downstream
@@ -60,9 +61,8 @@ def create(
     files = services.sites.files(site_id)
     plan = plan_stages(site.site, body.options, files)
     job, ready = services.jobs.create(site, body.options, files, plan, idempotency_key, body.name)
-    services.queue.dispatch(ready)
     response.headers["Location"] = address(request, f"/v1/jobs/{job.id}")
-    return _out(services, job)
+    return _begun(services, job, ready)
 
 
 @router.post("/sites/{site_id}/plan", summary="What would a job do?", responses=documented(404, 422))
@@ -120,15 +120,15 @@ def restart(job_id: str, body: RestartIn, services: ServicesDep) -> JobOut:
     """
     options, plan = _restart_plan(services, job_id, body)
     job, ready = services.jobs.restart(job_id, options, plan, body.from_stage)
-    services.queue.dispatch(ready)
-    return _out(services, job)
+    return _begun(services, job, ready)
 
 
 @router.post("/jobs/{job_id}/plan", summary="What would a restart do?", responses=documented(404, 422))
 def restart_plan(job_id: str, body: RestartIn, services: ServicesDep) -> list[PlannedStageOut]:
     """Which stages would run. Nothing is started."""
     _, plan = _restart_plan(services, job_id, body)
-    anew = downstream(body.from_stage) if body.from_stage is not None else ()
+    wanted_before = {stage.name: stage.hash for stage in services.jobs.job(job_id).stages if stage.forced}
+    anew = made_anew(plan, body.from_stage, wanted_before)
     return [
         stage.model_copy(update={"would": "run"}) if stage.name in anew else stage for stage in _planned(services, plan)
     ]
@@ -194,6 +194,13 @@ async def events(
 
 def _out(services: Services, job: Job) -> JobOut:
     return JobOut.of(job, services.jobs.typical_seconds(), time.time())
+
+
+def _begun(services: Services, job: Job, due: Sequence[StageKey]) -> JobOut:
+    """Settle at once what needs no work, and leave the rest to the workers."""
+    to_do = services.reuse.settle(due)
+    services.queue.dispatch(to_do)
+    return _out(services, job if to_do == list(due) else services.jobs.job(job.id))
 
 
 def _planned(services: Services, plan: Sequence[PlannedStage]) -> list[PlannedStageOut]:

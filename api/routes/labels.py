@@ -277,7 +277,7 @@ def evaluate(job_id: str, body: EvaluateIn, services: ServicesDep) -> JobOut:
     files = (*(one for one in job.files if one.purpose is not Purpose.LABELS), file)
     options = dict(job.options)
     job, ready = services.jobs.restart(job_id, options, plan_stages(job.site, options, files), files=files)
-    services.queue.dispatch(ready)
+    services.queue.dispatch(services.reuse.settle(ready))
     return JobOut.of(job, services.jobs.typical_seconds(), datetime.now(UTC).timestamp())
 
 

@@ -26,13 +26,14 @@ class DataFolder:
     """Where everything but the database's rows lies.
 
     ``uploads/`` unfinished uploads, ``files/`` finished ones, ``stages/`` published outputs (`StageStore`),
-    ``logs/`` one text file a job, ``cache/`` what stages may cache, ``database-id`` whose folder it is.
+    ``logs/`` one text file a job, ``cache/`` what stages may cache, ``workers/`` who is there (`presence`),
+    ``database-id`` whose folder it is.
     """
 
     def __init__(self, root: Path) -> None:
         self.root = root.absolute()
         self.root.mkdir(mode=0o700, parents=True, exist_ok=True)
-        for folder in ("uploads", "files", "stages", "logs", "cache"):
+        for folder in ("uploads", "files", "stages", "logs", "cache", "workers"):
             (self.root / folder).mkdir(exist_ok=True)
 
     @property
@@ -42,6 +43,10 @@ class DataFolder:
     @property
     def cache(self) -> Path:
         return self.root / "cache"
+
+    @property
+    def workers(self) -> Path:
+        return self.root / "workers"
 
     def upload(self, upload_id: str) -> Path:
         return self.root / "uploads" / _plain(upload_id)

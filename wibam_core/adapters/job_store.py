@@ -23,11 +23,12 @@ from wibam_core.adapters.job_rows import (
     stage_rows,
 )
 from wibam_core.adapters.models import EventRow, FileRow, JobFileRow, JobRow, SiteRow, StageRow
+from wibam_core.adapters.planning import made_anew
 from wibam_core.errors import Conflict, NotFound
 from wibam_core.jobs.machine import cancel, check_job_move
 from wibam_core.jobs.records import Event, EventKind, Job, SiteRecord, StoredFile
 from wibam_core.jobs.states import JobState, StageState
-from wibam_core.stages.graph import PlannedStage, downstream
+from wibam_core.stages.graph import PlannedStage
 
 _TERMINAL = [state.value for state in JobState if state.is_terminal]
 _TYPICAL_OF = 200  # so many latest runs tell how long a stage usually takes
@@ -168,7 +169,8 @@ class JobStore:
         files: Sequence[StoredFile] | None = None,
     ) -> tuple[Job, list[StageKey]]:
         """Let a job run again: the stages without outputs, those whose address changed, and, where ``from_stage`` is
-        given, that stage and all that follow from it. Where there are none, the job succeeds at once. With ``files``,
+        given, that stage and all that follow from it; of an earlier restart what was left of these, too. Where there
+        are none, the job succeeds at once. With ``files``,
         it works on these from now on.
 
         Raises:
@@ -182,7 +184,7 @@ class JobStore:
             if not JobState(row.state).is_terminal:
                 raise Conflict(f"job {job_id} is {row.state}", hint="Cancel it first, or wait until it has ended.")
             stages = {stage.name: stage for stage in stage_rows(session, job_id)}
-            anew = downstream(from_stage, plan) if from_stage is not None else ()
+            anew = made_anew(plan, from_stage, {name: old.hash for name, old in stages.items() if old.forced})
             _check_not_in_use(session, job_id, [planned.hash for planned in plan if planned.name in anew])
             unsettled = _unsettled_hashes(session)
             fresh: list[StageRow] = []

@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from typing import Any, cast
 
-from sqlalchemy import select, update
+from sqlalchemy import Select, or_, select, update
 from sqlalchemy.exc import IntegrityError
 from sqlalchemy.orm import Session
 
@@ -84,6 +84,14 @@ class LeaseStore:
             return None
         return Claim(key.job_id, key.stage, owner, taken.fence, taken.attempts)
 
+    def reusable_hash(self, key: StageKey) -> str | None:
+        """The address whose outputs would settle a stage that is due; None where it is not, or is to be made anew."""
+        with self._database.reading() as session:
+            stage = session.get(StageRow, (key.job_id, key.stage))
+            if stage is None or stage.state != StageState.QUEUED.value:
+                return None
+            return None if session.scalars(_to_be_made_anew(stage.hash).limit(1)).one_or_none() else stage.hash
+
     def make_way(self, claim: Claim, remove: Callable[[str, str], None]) -> bool:
         """Before the work: if a restarted job wants this stage made anew, remove its old outputs, once.
 
@@ -101,10 +109,7 @@ class LeaseStore:
         """
         with self._database.writing() as session:
             _, stage = _held_rows(session, claim)
-            wanted_jobs = select(JobRow.id).where(JobRow.state.in_(_WANTED))
-            forced = session.scalars(
-                select(StageRow).where(StageRow.hash == stage.hash, StageRow.forced, StageRow.job_id.in_(wanted_jobs))
-            ).all()
+            forced = session.scalars(_to_be_made_anew(stage.hash)).all()
             if forced:
                 remove(stage.name, stage.hash)
             for row in forced:
@@ -197,20 +202,32 @@ class LeaseStore:
             stage.attempts -= 1
             return self._end(session, job, stage, StageState.QUEUED)
 
-    def reap(self, *, resend_all: bool = False) -> list[StageKey]:
-        """Take expired leases back and find messages that got lost; returns what to dispatch (again).
+    def retry(self, claim: Claim, reason: str) -> list[StageKey]:
+        """The stage ended through no fault that is known: another attempt follows. Raises:
+        LostLease: the stage is no longer this worker's.
+        """
+        with self._database.writing() as session:
+            job, stage = _held_rows(session, claim)
+            return self._end(session, job, stage, StageState.QUEUED, reason=reason)
+
+    def reap(self, *, gone: Collection[str] = (), resend_all: bool = False) -> list[StageKey]:
+        """Take back the leases that expired or whose owners are gone, and find messages that got lost.
 
         Args:
+            gone: owners whose processes are known to have ended.
             resend_all: do not wait to see whether a message got lost: the broker may have been restarted.
+
+        Returns:
+            What to dispatch (again).
         """
         now = self._now()
         patience_s = 0.0 if resend_all else self._policy.resend_s
-        expired = select(StageRow.job_id, StageRow.name).where(
-            StageRow.state == _RUNNING, StageRow.lease_expires_at < now
+        lost = select(StageRow.job_id, StageRow.name).where(
+            StageRow.state == _RUNNING, or_(StageRow.lease_expires_at < now, StageRow.lease_owner.in_(gone))
         )
         with self._database.reading() as session:
-            late = [StageKey(job_id, name) for job_id, name in session.execute(expired)]
-        again = [key for found in late for key in self._take_back(found)]
+            found = [StageKey(job_id, name) for job_id, name in session.execute(lost)]
+        again = [following for key in found for following in self._take_back(key, gone)]
         forgotten = (
             update(StageRow)
             .where(StageRow.state == StageState.QUEUED.value, StageRow.dispatched_at <= now - patience_s)
@@ -226,12 +243,14 @@ class LeaseStore:
         with self._database.reading() as session:
             return set(session.scalars(select(StageRow.hash).where(StageRow.state == _RUNNING)))
 
-    def _take_back(self, key: StageKey) -> list[StageKey]:
+    def _take_back(self, key: StageKey, gone: Collection[str]) -> list[StageKey]:
         now = self._now()
         with self._database.writing() as session:
             job = session.get(JobRow, key.job_id, with_for_update=True)
             stage = session.get(StageRow, (key.job_id, key.stage), with_for_update=True)
-            if job is None or stage is None or stage.state != _RUNNING or (stage.lease_expires_at or 0.0) >= now:
+            if job is None or stage is None or stage.state != _RUNNING:
+                return []
+            if (stage.lease_expires_at or 0.0) >= now and stage.lease_owner not in gone:
                 return []
             stage.fence += 1  # what the lost worker may still write no longer counts
             if job.state == JobState.CANCELLING.value:
@@ -240,7 +259,7 @@ class LeaseStore:
             if state is StageState.QUEUED:
                 return self._end(session, job, stage, state, reason="its worker was lost")
             error = StageCrashed(
-                f"the stage {stage.name} lost its worker {stage.attempts} times",
+                f"the stage {stage.name} lost its worker in attempt {stage.attempts}, the last",
                 hint="It may need more memory or disk than there is; look at the job's log, then restart the job.",
                 attempts=stage.attempts,
             )
@@ -264,6 +283,12 @@ class LeaseStore:
 def _in_users_words(session: Session, job: JobRow, warnings: Sequence[StageWarning]) -> list[dict[str, Any]]:
     found = [warning.model_dump(mode="json") for warning in warnings]
     return cast(list[dict[str, Any]], records.plain_json(in_users_words(found, job_files(session, job.id))))
+
+
+def _to_be_made_anew(hash: str) -> Select[StageRow]:
+    """Stages with this address whose outputs a restarted job wants made anew."""
+    wanted_jobs = select(JobRow.id).where(JobRow.state.in_(_WANTED))
+    return select(StageRow).where(StageRow.hash == hash, StageRow.forced, StageRow.job_id.in_(wanted_jobs))
 
 
 def _held(claim: Claim) -> tuple[Any, ...]:

@@ -9,7 +9,7 @@ from wibam_core.config import PipelineConfig
 from wibam_core.errors import MissingCamera
 from wibam_core.jobs.records import Purpose, StoredFile, recordings_of
 from wibam_core.site import Site
-from wibam_core.stages.graph import InputDigests, PlannedStage, plan
+from wibam_core.stages.graph import InputDigests, PlannedStage, downstream, plan
 from wibam_core.stages.recording_files import digest_of
 
 
@@ -40,6 +40,22 @@ def plan_stages(site: Site, options: Mapping[str, Any], files: Sequence[StoredFi
             )
     digests = {c: digest_of((file.filename, file.sha256) for file in recordings[c]) for c in site.camera_ids}
     return plan(site, config, InputDigests(digests, assets))
+
+
+def made_anew(plan: Sequence[PlannedStage], from_stage: str | None, still_wanted: Mapping[str, str]) -> set[str]:
+    """The stages that a restart makes anew even if their outputs are there.
+
+    Args:
+        plan: of the job.
+        from_stage: this one and all that follow from it; None for none.
+        still_wanted: what an earlier restart asked to be made anew and was not, name by hash. Where the hash is another
+            now, the outputs will be, too.
+
+    Raises:
+        UnknownOption: there is no stage ``from_stage``.
+    """
+    left = {planned.name for planned in plan if still_wanted.get(planned.name) == planned.hash}
+    return left if from_stage is None else left.union(downstream(from_stage, plan))
 
 
 def _names(cameras: Sequence[str]) -> str:

@@ -242,6 +242,19 @@ class TestRestart:
         assert [key.stage for key in ready] == ["b"]
         assert {s.name for s in restarted.stages if s.forced} == {"b", "d"}
 
+    def test_what_was_to_be_made_anew_and_was_not_still_is_after_another_restart(self, world: World) -> None:
+        job = world.job()
+        self.finish(world, job)
+        world.jobs.restart(job.id, {}, plan(), from_stage="b")
+        claim = world.claim(job, "b")
+        assert world.leases.make_way(claim, lambda name, hash: None)
+        world.leases.fail(claim, StageCrashed("it was killed"))
+        restarted, _ = world.jobs.restart(job.id, {}, plan())
+        assert {s.name for s in restarted.stages if s.forced} == {"d"}
+        world.jobs.cancel(job.id)
+        changed, _ = world.jobs.restart(job.id, {"d": 1}, [*plan()[:3], plan("x")[3]])
+        assert not any(stage.forced for stage in changed.stages), "what has another address is made anyway"
+
     def test_with_nothing_to_redo_the_job_succeeds_again_at_once(self, world: World) -> None:
         job = world.job()
         self.finish(world, job)

@@ -71,6 +71,7 @@ class Service:
             limits,
             self.policy,
             self.dispatched.extend,
+            "worker",
             **values,  # type: ignore[arg-type]
         )
 

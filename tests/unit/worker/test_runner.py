@@ -171,13 +171,35 @@ class TestFailing:
         with monkeypatch.context() as patched:
             run_instead(patched, "os.kill(os.getpid(), 9)")
             service.runner().run(key(job))
+            assert service.jobs.job(job.id).state is JobState.RUNNING
+            assert service.dispatched == [key(job)], "it is tried once more"
+            service.runner().run(key(job))
+        assert service.dispatched == [key(job)]
         error = failure(service, job)
         assert error["code"] == "stage_crashed"
-        assert "signal 9" in error["message"]
+        assert "was killed by signal 9 (SIGKILL), in attempt 2" in error["message"]
         assert "log_tail" in error["details"]
         following = service.job(recording)
         service.runner().run(key(following))
         assert service.jobs.job(following.id).state is JobState.SUCCEEDED
+
+    def test_a_stage_that_was_killed_once_ends_well(
+        self, service: Service, recording: Path, monkeypatch: pytest.MonkeyPatch
+    ) -> None:
+        job = service.job(recording)
+        run_instead(
+            monkeypatch,
+            "mark = os.path.join(request['scratch'], 'before')\n"
+            "if os.path.exists(mark): done()\n"
+            "else: open(mark, 'w').close(); os.kill(os.getpid(), 11)",
+        )
+        service.runner().run(key(job))
+        [stage] = service.jobs.job(job.id).stages
+        assert (stage.state, stage.attempts) == (StageState.QUEUED, 1)
+        reasons = [event.data.get("reason") for event in service.jobs.events(job.id)[0]]
+        assert "was killed by signal 11 (SIGSEGV)" in str(reasons[-1])
+        service.runner().run(key(job))
+        assert service.jobs.job(job.id).state is JobState.SUCCEEDED
 
     def test_too_much_memory_is_named(self, service: Service, recording: Path) -> None:
         job = service.job(recording)
@@ -234,6 +256,7 @@ class TestStopping:
             LIMITS,
             LeasePolicy(duration_s=6000.0, heartbeat_s=2000.0),  # it forgets its heartbeats
             service.dispatched.extend,
+            "slow",
         )
         with monkeypatch.context() as patched:
             run_instead(patched, f"while not os.path.exists({str(go_on)!r}): time.sleep(0.02)\ndone()")
