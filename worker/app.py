@@ -21,6 +21,7 @@ from wibam_core.adapters.ownership import claim_folder
 from wibam_core.adapters.presence import Presence
 from wibam_core.adapters.queue import RUN_STAGE, JobQueue, make_celery
 from wibam_core.adapters.settings import ServiceSettings
+from wibam_core.errors import Conflict
 from worker.attacks import ATTACKS, kept_out
 from worker.notice import Notice
 from worker.runner import StageRunner
@@ -42,7 +43,6 @@ def run_stage(job_id: str, stage: str) -> None:
 def _runner() -> StageRunner:
     """One a process, made in the process that uses it: database connections do not survive a fork."""
     database, folder = Database(_settings.database_url), DataFolder(_settings.data_dir)
-    claim_folder(database, folder)  # outputs that this database does not name are removed
     until_the_end = contextlib.ExitStack()
     atexit.register(until_the_end.close)
     presence = until_the_end.enter_context(Presence(folder.workers))
@@ -59,10 +59,16 @@ def _runner() -> StageRunner:
 
 
 @worker_init.connect
-def _migrate(**_: Any) -> None:
+def _make_sure_of_database_and_folder(**_: Any) -> None:
     database = Database(_settings.database_url)
     database.migrate()
-    database.close()
+    try:
+        claim_folder(database, DataFolder(_settings.data_dir))
+    except Conflict as error:
+        # Celery goes on after an exception of a handler; a worker without the service's files fails its users' jobs
+        raise SystemExit(f"{error.message}. {error.hint}") from error
+    finally:
+        database.close()
 
 
 @worker_init.connect

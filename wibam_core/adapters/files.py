@@ -27,7 +27,7 @@ class DataFolder:
 
     ``uploads/`` unfinished uploads, ``files/`` finished ones, ``stages/`` published outputs (`StageStore`),
     ``logs/`` one text file a job, ``cache/`` what stages may cache, ``workers/`` who is there (`presence`),
-    ``database-id`` whose folder it is.
+    ``database-id`` whose folder it is, ``folder-id`` which one.
     """
 
     def __init__(self, root: Path) -> None:
@@ -90,14 +90,28 @@ class DataFolder:
 
     def database_id(self) -> str | None:
         """Of the database that knows what lies here; None until one has been told (`belong_to`)."""
-        path = self.root / "database-id"
-        return path.read_text().strip() if path.exists() else None
+        return self._told("database-id")
 
     def belong_to(self, database_id: str) -> None:
         """Remember the database that knows what lies here."""
-        partial = self.root / f"database-id-{secrets.token_hex(4)}"  # services that start together do the same
-        partial.write_text(database_id + "\n")
-        partial.replace(self.root / "database-id")
+        self._remember("database-id", database_id)
+
+    def folder_id(self) -> str | None:
+        """What tells this folder from every other, its copies excepted; None until it has been told (`be`)."""
+        return self._told("folder-id")
+
+    def be(self, folder_id: str) -> None:
+        """Remember which folder this is."""
+        self._remember("folder-id", folder_id)
+
+    def _told(self, name: str) -> str | None:
+        path = self.root / name
+        return path.read_text().strip() if path.exists() else None
+
+    def _remember(self, name: str, text: str) -> None:
+        partial = self.root / f"{name}-{secrets.token_hex(4)}"
+        partial.write_text(text + "\n")
+        partial.replace(self.root / name)
 
     def remove_log(self, job_id: str) -> None:
         self.log(job_id).unlink(missing_ok=True)

@@ -27,11 +27,12 @@ class Base(DeclarativeBase):
 
 
 class DatabaseIdRow(Base):
-    """The one row that tells this database from every other, so that no data folder is taken for another's."""
+    """The one row that tells this database from every other, and which data folder is its own."""
 
     __tablename__ = "database_id"
 
     id: Mapped[str] = mapped_column(String(64), primary_key=True)
+    folder_id: Mapped[str | None] = mapped_column(String(64))
 
 
 class SiteRow(Base):
