@@ -17,11 +17,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from wibam_core.clocks import SignalChange
 from wibam_core.errors import WibamError
 from wibam_core.geometry.box3d import corners
 from wibam_core.geometry.camera import Camera
 from wibam_core.geometry.se3 import SE3
-from wibam_core.scene import Detections2D, SignalChange
+from wibam_core.scene import Detections2D
 from wibam_core.sync.offsets import SyncResult
 from wibam_core.sync.paths import GroundPath, ground_paths
 from wibam_core.sync.witnesses import synchronise

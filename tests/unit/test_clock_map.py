@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from wibam_core.scene import ClockMap, ClockPiece
+from wibam_core.clocks import ClockMap, ClockPiece
 
 S = 10**9
 

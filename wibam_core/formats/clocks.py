@@ -19,8 +19,8 @@ from typing import Literal
 import pydantic
 from pydantic import BaseModel, ConfigDict, Field
 
+from wibam_core.clocks import ClockMap, ClockPiece
 from wibam_core.errors import InputError
-from wibam_core.scene import ClockMap, ClockPiece
 
 
 @dataclass(frozen=True)

@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from wibam_core.artifacts.catalogue import CALIBRATED_RIG, CLOCKS, FRAMES, LIMITS, PROBE, TIMESTAMPS
+from wibam_core.clocks import ClockMap
 from wibam_core.config import FramesConfig
 from wibam_core.detection.background import BackgroundFrames
 from wibam_core.documents.recordings import VideoInfo
@@ -22,7 +23,7 @@ from wibam_core.errors import InputError, NoOverlap
 from wibam_core.formats.framestore import FrameStore, FrameStoreWriter, Size
 from wibam_core.geometry.cut_view import Cutter, Image
 from wibam_core.geometry.pixels import shrunk_image
-from wibam_core.scene import CameraRig, ClockMap
+from wibam_core.scene import CameraRig
 from wibam_core.stages.base import StageContext, Summary
 from wibam_core.stages.space import check_space
 from wibam_core.video.decode import OnePass

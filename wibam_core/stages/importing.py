@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from wibam_core.artifacts import catalogue
 from wibam_core.association.associate import association_statistics
 from wibam_core.association.linking import linked_over_time
+from wibam_core.clocks import ClockMap
 from wibam_core.config import AssociateConfig
 from wibam_core.dataset.statistics import dataset_statistics
 from wibam_core.detection.instants import by_frame
@@ -31,7 +32,7 @@ from wibam_core.formats.clocks import Clocks
 from wibam_core.formats.framestore import FrameStoreWriter
 from wibam_core.formats.labels import write_labels
 from wibam_core.progress import Progress, part, silent
-from wibam_core.scene import AnnotatedInstant, ClockMap
+from wibam_core.scene import AnnotatedInstant
 from wibam_core.site import Site
 from wibam_core.stages.given import giving
 

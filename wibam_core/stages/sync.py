@@ -10,13 +10,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from wibam_core.artifacts.catalogue import CALIBRATED_RIG, CHANGES, CLOCKS, PROBE
+from wibam_core.clocks import ClockMap, SignalChange
 from wibam_core.config import SyncConfig
 from wibam_core.documents.recordings import VideoInfo
 from wibam_core.documents.synchronisation import Synchronisation
 from wibam_core.errors import MissingCamera, NoSignalChange
 from wibam_core.formats.clocks import Clocks
 from wibam_core.progress import Progress, part
-from wibam_core.scene import ClockMap, SignalChange
 from wibam_core.site import SiteCamera
 from wibam_core.stages.base import StageContext, Summary
 from wibam_core.stages.passing import passing

@@ -7,8 +7,8 @@ from collections.abc import Iterable, Sequence
 import numpy as np
 from numpy.typing import NDArray
 
+from wibam_core.clocks import SignalChange
 from wibam_core.errors import InputError
-from wibam_core.scene import SignalChange
 from wibam_core.site import SignalRegion
 from wibam_core.sync.lamps import BINS, COLOURS, colour_profile, learn_lamps
 from wibam_core.sync.states import STATES, most_likely_states, state_evidence, switch_costs

@@ -6,6 +6,7 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
+from wibam_core.clocks import SignalChange
 from wibam_core.documents.synchronisation import (
     Alternative,
     CameraClock,
@@ -17,7 +18,6 @@ from wibam_core.documents.synchronisation import (
 )
 from wibam_core.documents.warnings import Caution
 from wibam_core.errors import NoSignalChange
-from wibam_core.scene import SignalChange
 from wibam_core.sync.matching import Alignment, Offset
 from wibam_core.sync.offsets import SyncResult
 from wibam_core.sync.traffic import TrafficAlignment

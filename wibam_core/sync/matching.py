@@ -12,8 +12,8 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
+from wibam_core.clocks import SignalChange
 from wibam_core.errors import NoSignalChange
-from wibam_core.scene import SignalChange
 from wibam_core.sync.search import DECISIVE, Candidate, Pairs, Watched, one_to_one, search, unlikelihood
 
 Array = NDArray[np.float64]

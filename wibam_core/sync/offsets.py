@@ -15,8 +15,8 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from wibam_core.clocks import ClockMap, SignalChange
 from wibam_core.formats.clocks import ClockError
-from wibam_core.scene import ClockMap, SignalChange
 from wibam_core.sync.matching import Alignment, ChangeGroup, match_changes
 
 Array = NDArray[np.float64]

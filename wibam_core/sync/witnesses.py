@@ -6,8 +6,8 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from itertools import combinations
 
+from wibam_core.clocks import SignalChange
 from wibam_core.errors import UnknownClock
-from wibam_core.scene import SignalChange
 from wibam_core.sync.matching import Alignment, ChangeGroup, match_changes
 from wibam_core.sync.offsets import SyncResult, solve_clocks
 from wibam_core.sync.paths import GroundPath

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from wibam_core.scene import ClockMap
+from wibam_core.clocks import ClockMap
 
 IntArray = NDArray[np.int64]
 _NS_PER_S = 1_000_000_000

@@ -4,9 +4,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from wibam_core.clocks import ClockMap, ClockPiece
 from wibam_core.errors import InputError
 from wibam_core.formats.clocks import ClockError, Clocks, read_clocks, write_clocks
-from wibam_core.scene import ClockMap, ClockPiece
 
 clock_maps = st.builds(
     ClockMap,

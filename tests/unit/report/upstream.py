@@ -13,6 +13,7 @@ from tests.unit.report.scenes import boxes_at, crossing_traffic, metrics_json, n
 from wibam_core.artifacts import catalogue
 from wibam_core.association.associate import association_statistics
 from wibam_core.calibration.residuals import Residuals
+from wibam_core.clocks import SignalChange
 from wibam_core.config import DatasetConfig, SafetyConfig
 from wibam_core.dataset.split import split_in_time
 from wibam_core.dataset.statistics import dataset_statistics
@@ -35,7 +36,6 @@ from wibam_core.scene import (
     Detections2D,
     LabelledInstant,
     MultiViewVehicle,
-    SignalChange,
     Track,
     Vehicles3D,
 )

@@ -17,6 +17,7 @@ from tests.builders import look_at
 from tests.stage_folders import StageFolders
 from wibam_core.artifacts import catalogue
 from wibam_core.artifacts.access import MANIFEST, ArtifactReader
+from wibam_core.clocks import ClockMap
 from wibam_core.config import FramesConfig, PipelineConfig
 from wibam_core.detection.boxes import Found
 from wibam_core.documents.recordings import Limits, Probe, VideoInfo
@@ -24,7 +25,7 @@ from wibam_core.documents.synchronisation import Synchronisation
 from wibam_core.errors import NoOverlap
 from wibam_core.formats.clocks import Clocks
 from wibam_core.road_users import RoadUserClass
-from wibam_core.scene import ClockMap, site_camera
+from wibam_core.scene import site_camera
 from wibam_core.site import Site
 from wibam_core.stages import detect, frames
 from wibam_core.stages.given import giving

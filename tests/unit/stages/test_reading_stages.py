@@ -1,4 +1,4 @@
-"""The stages that read recordings, on real H.264 files: preflight, frames, detect."""
+"""The stages that read recordings, on real H.264 files: preflight and frames."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ import itertools
 import json
 import shutil
 import threading
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -15,85 +15,24 @@ import numpy as np
 import pytest
 from av.video.frame import VideoFrame
 
-from tests.stage_folders import StageFolders
+from tests.unit.stages.reading import HEIGHT, STEP_NS, WIDTH, Run, S, record, site, true_time_ns
 from wibam_core.artifacts import catalogue
-from wibam_core.config import DetectConfig, FramesConfig, PreflightConfig
+from wibam_core.clocks import ClockMap, ClockPiece
+from wibam_core.config import FramesConfig, PreflightConfig
 from wibam_core.detection.background import BackgroundFrames
-from wibam_core.detection.boxes import Found
 from wibam_core.errors import (
     DiskFull,
     InputError,
     InvalidLabels,
     MissingCamera,
     NoOverlap,
-    NoVehicles,
     UnreadableVideo,
 )
 from wibam_core.formats.clocks import Clocks
-from wibam_core.formats.framestore import FrameStore, FrameStoreWriter
-from wibam_core.progress import Progress, silent
-from wibam_core.road_users import RoadUserClass
-from wibam_core.scene import ClockMap, ClockPiece
-from wibam_core.site import HomographyCalibration, Site, SiteCamera
-from wibam_core.stages import detect, frames, preflight
-from wibam_core.stages.base import StageContext
+from wibam_core.stages import frames, preflight
 from wibam_core.video import decode
-from wibam_core.video.encode import VideoWriter
 from wibam_core.video.picture import Orientation
 from wibam_core.video.recording import Recording
-
-S = 10**9
-WIDTH, HEIGHT = 128, 72
-#: The picture tells the true time: its grey level is 20 and 2 more for every 40 ms.
-STEP_NS = 40_000_000
-
-
-def picture(true_ns: int) -> np.ndarray:
-    return np.full((HEIGHT, WIDTH, 3), 20 + 2 * round(true_ns / STEP_NS), np.uint8)
-
-
-def true_time_ns(image: np.ndarray) -> float:
-    return (float(image.mean()) - 20) / 2 * STEP_NS
-
-
-def record(path: Path, clock: ClockMap, first_ns: int, last_ns: int, dropped: frozenset[int] = frozenset()) -> Path:
-    """25 fps of the world from ``first_ns`` to ``last_ns`` (reference clock), stamped with the camera's own clock."""
-    with VideoWriter(path, WIDTH, HEIGHT, 25.0, 10) as writer:
-        for number, true_ns in enumerate(range(first_ns, last_ns + 1, STEP_NS)):
-            if number not in dropped:
-                writer.write(picture(true_ns), int(clock.to_local_ns(true_ns)))
-    return path
-
-
-def site(camera_ids: tuple[str, ...], width_px: int = WIDTH, height_px: int = HEIGHT) -> Site:
-    calibration = HomographyCalibration(correspondences=())
-    return Site(
-        name="test",
-        cameras=tuple(
-            SiteCamera(id=id_, width_px=width_px, height_px=height_px, calibration=calibration) for id_ in camera_ids
-        ),
-    )
-
-
-class Run(StageFolders):
-    """Runs stages one after the other in a folder."""
-
-    def __init__(self, folder: Path, recordings: Mapping[str, Path], camera_ids: tuple[str, ...] = ()) -> None:
-        super().__init__(folder)
-        self.recordings = recordings
-        self.site = site(camera_ids or tuple(recordings))
-
-    def of(self, stage: str, assets: Mapping[str, Path] | None = None, progress: Progress = silent) -> StageContext:
-        return self.context(stage, self.site, self.recordings, assets, progress)
-
-    def preflight(self, **options: float) -> dict:
-        return preflight.run(self.of("preflight"), PreflightConfig(**options))
-
-    def frames(self, clocks: Mapping[str, ClockMap], **options: float) -> tuple[dict, FrameStore]:
-        self.give(catalogue.CLOCKS, Clocks(clocks))
-        summary = frames.run(self.of("frames"), FramesConfig(**options))
-        return summary, self.read(catalogue.FRAMES)
-
 
 CLOCKS = {
     "a": ClockMap(),
@@ -345,88 +284,3 @@ def test_frames_that_the_disk_will_not_hold_are_refused_early(three: Run, monkey
         frames.run(three.of("frames"), FramesConfig(rate_hz=25))
     with pytest.raises(InputError):
         three.read(catalogue.FRAMES)
-
-
-class BrightSpots:
-    """Finds the bright blob of an image, as a truck."""
-
-    classes = (RoadUserClass.CAR, RoadUserClass.VAN, RoadUserClass.TRUCK, RoadUserClass.BUS)
-
-    def detect(self, image_bgr: np.ndarray) -> Found:
-        rows, columns = np.nonzero(image_bgr[..., 0] > 200)
-        if not len(rows):
-            return Found(np.empty((0, 4)), np.empty(0), np.empty(0, np.int64))
-        box = np.array([[columns.min() - 0.5, rows.min() - 0.5, columns.max() + 0.5, rows.max() + 0.5]])
-        return Found(box, np.array([0.75]), np.array([2]))
-
-
-def stored(root: Path, spots: bool) -> Run:
-    """Frames of 64x36 px of a 128x72 px recording; camera a has a spot that moves, b has none."""
-    run = Run(root, {"a": root, "b": root})
-    with FrameStoreWriter(run.place(catalogue.FRAMES), 95) as writer:
-        for i in range(40):
-            image = np.zeros((36, 64, 3), np.uint8)
-            if spots:
-                image[8:16, i : i + 16] = 255
-            writer.add("a", i * S, i * S + 3, image)
-            if i % 2:
-                writer.add("b", i * S, i * S - 2, np.zeros((36, 64, 3), np.uint8))
-        writer.close({"a": (128, 72), "b": (128, 72)})
-    run.give(catalogue.TIMESTAMPS, {"a": np.arange(40) * S + 3, "b": np.arange(1, 40, 2) * S - 2})
-    return run
-
-
-def test_convention_detections_are_in_pixels_of_the_recording(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(detect, "load_detector", lambda path, **options: BrightSpots())
-    run = stored(tmp_path, spots=True)
-    seen: list[float] = []
-    context = run.of("detect", progress=lambda fraction, message="", **figures: seen.append(fraction))
-    summary = detect.run(context, DetectConfig(refine="off"))
-    instants = run.detected()
-    assert [instant.time_ns for instant in instants] == [i * S for i in range(40)]
-    for i, instant in enumerate(instants):
-        assert set(instant.detections) == ({"a", "b"} if i % 2 else {"a"})
-        found = instant.detections["a"]
-        assert found.frame_time_ns == i * S + 3
-        assert np.allclose(found.boxes, [[2 * i - 0.5, 15.5, 2 * i + 31.5, 31.5]], atol=2.1)
-        assert found.classes.tolist() == [2]
-        assert instant.vehicles == ()
-    assert len(instants[1].detections["b"]) == 0
-    assert run.read(catalogue.DETECTION_STATISTICS).model_dump() == summary
-    assert summary["boxes_by_camera"] == {"a": 40, "b": 0}
-    assert summary["boxes_by_class"] == {"car": 0, "van": 0, "truck": 40, "bus": 0}
-    assert summary["unknown_classes"] == ["motorcycle", "bicycle", "pedestrian"]
-    assert summary["frames"] == 60
-    assert seen == sorted(seen)
-    assert seen[-1] == 1.0
-    json.dumps(summary)
-
-
-def test_vehicles_are_looked_for_as_often_as_asked(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(detect, "load_detector", lambda path, **options: BrightSpots())
-    run = stored(tmp_path, spots=True)
-    summary = detect.run(run.of("detect"), DetectConfig(refine="off", rate_hz=0.25))
-    instants = run.detected()
-    assert [instant.time_ns for instant in instants] == [i * S for i in range(0, 40, 4)]
-    assert summary["frames"] == 10
-
-
-def test_no_vehicle_at_all_is_an_error(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(detect, "load_detector", lambda path, **options: BrightSpots())
-    run = stored(tmp_path, spots=False)
-    with pytest.raises(NoVehicles, match="60 frames of 2 cameras"):
-        detect.run(run.of("detect"), DetectConfig())
-
-
-@pytest.mark.assets
-def test_custom_detector_runs_on_real_footage(assets: Path, tmp_path: Path) -> None:
-    run = Run(tmp_path, {"a": assets / "footage" / "traffic.mp4"})
-    run.site = site(("a",), 640, 360)
-    run.preflight()
-    run.frames({"a": ClockMap()}, rate_hz=0.5)
-    context = run.of("detect", assets={"detector": assets / "detectors" / "yolox_nano.onnx"})
-    summary = detect.run(context, DetectConfig(detector="custom", min_score=0.2))
-    assert summary["frames"] == 10
-    assert summary["boxes"] >= 20
-    for instant in run.detected():
-        assert len(instant.detections["a"])

@@ -3,8 +3,8 @@ import json
 import numpy as np
 import pytest
 
+from wibam_core.clocks import SignalChange
 from wibam_core.errors import NoSignalChange
-from wibam_core.scene import SignalChange
 from wibam_core.sync.document import ambiguities, doubts, sync_document
 from wibam_core.sync.matching import ChangeGroup, align, match_changes
 from wibam_core.sync.offsets import estimate_clocks

@@ -4,10 +4,10 @@ from tests.builders import corner_rig, site_of
 from tests.signal_heads import CYCLE, record, sequence
 from tests.stage_folders import StageFolders
 from wibam_core.artifacts.catalogue import CHANGES, CLOCKS, PROBE
+from wibam_core.clocks import ClockMap
 from wibam_core.config import SyncConfig
 from wibam_core.documents.recordings import Probe
 from wibam_core.errors import MissingCamera, NoSignalChange
-from wibam_core.scene import ClockMap
 from wibam_core.site import Site
 from wibam_core.stages import sync
 from wibam_core.video.encode import VideoWriter

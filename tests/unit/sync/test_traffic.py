@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
+from wibam_core.clocks import SignalChange
 from wibam_core.errors import UnknownClock
-from wibam_core.scene import SignalChange
 from wibam_core.sync.document import doubts, sync_document
 from wibam_core.sync.paths import GroundPath
 from wibam_core.sync.traffic import align_by_traffic

@@ -1,0 +1,96 @@
+"""Options of the stages that follow the traffic and report: tracks, conflicts, the report."""
+
+from __future__ import annotations
+
+from pydantic import Field
+
+from wibam_core.config.base import StageConfig
+
+
+class TrackConfig(StageConfig):
+    rate_hz: float = Field(6.25, gt=0, le=120, description="instants per second that are tracked on")
+    min_score: float = Field(0.3, ge=0, lt=1, description="weaker detections are not used")
+    max_place_sd_m: float = Field(
+        3.0,
+        gt=0,
+        le=100,
+        description="detections whose place is less certain than this (standard deviation) are not used: far away, near"
+        " the horizon",
+    )
+    fusion_radius_m: float = Field(
+        2.5,
+        gt=0,
+        le=50,
+        description="two cameras' detections that lie nearer are one vehicle, farther ones two; about a lane less a"
+        " car's width, and as much larger along a vehicle as that is longer than a car",
+    )
+    gate_m: float = Field(
+        4.0,
+        gt=0,
+        le=50,
+        description="a detection farther than this from where a track is expected does not go on with it",
+    )
+    min_hits: int = Field(4, ge=1, le=1000, description="tracks seen fewer times are dropped")
+    min_seen_share: float = Field(
+        0.3,
+        ge=0,
+        le=1,
+        description="a track seen at a smaller share of the instants that it lasted is dropped: a chain of false boxes",
+    )
+    max_coast_s: float = Field(1.0, gt=0, le=60, description="a track unseen for longer ends")
+
+
+class SafetyConfig(StageConfig):
+    ttc_s: float = Field(3.0, gt=0, le=30, description="a smaller time to collision is a conflict")
+    pet_s: float = Field(2.0, gt=0, le=30, description="a smaller post-encroachment time is a conflict")
+    min_speed_mps: float = Field(1.0, ge=0, le=100, description="at least one of the two must move this fast")
+    min_deceleration_mps2: float = Field(
+        3.0, ge=0, le=50, description="a collision that softer braking would avoid is no conflict"
+    )
+    min_instants: int = Field(
+        3,
+        ge=1,
+        le=1000,
+        description="fewest instants in a row with a time to collision below ttc_s that are a conflict: one may err",
+    )
+    min_duration_s: float = Field(
+        0.2, ge=0, le=60, description="shortest time for which the time to collision stays below ttc_s in a conflict"
+    )
+    min_probability: float = Field(
+        0.8,
+        ge=0,
+        le=1,
+        description="least probability, by the states' standard deviations, that the time to collision in a conflict is"
+        " below ttc_s: a pass close by is not taken for a crash course",
+    )
+    min_track_s: float = Field(
+        1.0,
+        ge=0,
+        le=600,
+        description="road users that were tracked for a shorter time have no sure speed and are left out",
+    )
+    max_overlap_iou: float = Field(
+        0.1,
+        ge=0,
+        le=1,
+        description="road users whose footprints ever overlap by more (IoU) are an error of tracking: nobody stands in"
+        " another",
+    )
+    max_overlap_share: float = Field(
+        0.5,
+        ge=0,
+        le=1,
+        description="the same of a vehicle and somebody on foot or on two wheels, by the share of the smaller footprint"
+        " that the other covers",
+    )
+    same_direction_deg: float = Field(
+        30.0,
+        gt=0,
+        le=90,
+        description="headings that differ by less are one direction (rear end, merging), by more than 180 less this"
+        " opposite ones (head on); all others cross",
+    )
+
+
+class ReportConfig(StageConfig):
+    examples: int = Field(4, ge=1, le=50, description="before/after reprojections shown")
