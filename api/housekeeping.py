@@ -1,4 +1,4 @@
-"""What has to be done now and then, in a thread of its own: lost stages, lost messages, forgotten uploads."""
+"""What has to be done now and then, in a thread of its own: lost stages and clips, lost messages, forgotten files."""
 
 from __future__ import annotations
 
@@ -36,10 +36,12 @@ class Housekeeper:
         services = self._services
         lost = departed(services.folder.workers)
         services.queue.dispatch(services.leases.reap(gone=lost.owners, resend_all=number == 0))
+        services.queue.dispatch_clips(services.clips.reap(gone=lost.owners, resend_all=number == 0))
         lost.forget()
         if number % _TIDY_EVERY == 0:
             services.uploads.tidy()
             services.stages.sweep(services.leases.running_hashes)
+            services.folder.tidy_clips(services.clips.ids)
 
     def _run(self) -> None:
         number = 0

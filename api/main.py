@@ -17,7 +17,7 @@ from starlette.responses import HTMLResponse
 from api.docs_page import DOCS_PAGE
 from api.housekeeping import Housekeeper
 from api.problems import Problem, add_handlers
-from api.routes import exports, jobs, labels, looks, results, reviews, scene, sites, system, uploads
+from api.routes import clips, exports, jobs, labels, looks, results, reviews, scene, sites, system, uploads
 from api.security import Gate
 from api.services import Services
 from api.sessions import SESSION_COOKIE
@@ -81,6 +81,7 @@ def create_app(settings: ServiceSettings) -> FastAPI:
         jobs.router,
         results.router,
         scene.router,
+        clips.router,
         reviews.router,
         labels.router,
         exports.router,

@@ -10,6 +10,7 @@ from typing import Annotated
 from fastapi import Depends, Request
 
 from api.sessions import Passes
+from wibam_core.adapters.clip_store import ClipStore
 from wibam_core.adapters.database import Database
 from wibam_core.adapters.files import DataFolder
 from wibam_core.adapters.glimpses import Glimpses
@@ -45,6 +46,7 @@ class Services:
     reviews: ReviewStore
     passes: Passes
     glimpses: Glimpses
+    clips: ClipStore
 
     @classmethod
     def connect(cls, settings: ServiceSettings) -> Services:
@@ -71,6 +73,7 @@ class Services:
             reviews=ReviewStore(database),
             passes=Passes(settings.token_sha256),
             glimpses=Glimpses(),
+            clips=ClipStore(database, settings.leases),
         )
 
 

@@ -12,6 +12,7 @@ from typing import Any
 from celery.signals import worker_init, worker_process_init, worker_shutting_down
 
 from wibam_core.adapters import confine
+from wibam_core.adapters.clip_store import ClipStore
 from wibam_core.adapters.database import Database
 from wibam_core.adapters.files import DataFolder
 from wibam_core.adapters.job_rows import StageKey
@@ -19,10 +20,11 @@ from wibam_core.adapters.job_store import JobStore
 from wibam_core.adapters.lease_store import LeaseStore
 from wibam_core.adapters.ownership import claim_folder
 from wibam_core.adapters.presence import Presence
-from wibam_core.adapters.queue import RUN_STAGE, JobQueue, make_celery
+from wibam_core.adapters.queue import RENDER_CLIP, RUN_STAGE, JobQueue, make_celery
 from wibam_core.adapters.settings import ServiceSettings
 from wibam_core.errors import Conflict
 from worker.attacks import ATTACKS, kept_out
+from worker.clips import ClipRunner
 from worker.notice import Notice
 from worker.runner import StageRunner
 
@@ -39,13 +41,39 @@ def run_stage(job_id: str, stage: str) -> None:
     _runner().run(StageKey(job_id, stage))
 
 
+@app.task(name=RENDER_CLIP)
+def render_clip(clip_id: str) -> None:
+    """Look at a clip, and render it if it is to be rendered and nobody else does."""
+    _clip_runner().run(clip_id)
+
+
+@cache
+def _clip_runner() -> ClipRunner:
+    """One a process, as `_runner`."""
+    database = Database(_settings.database_url)
+    return ClipRunner(
+        JobStore(database),
+        ClipStore(database, _settings.leases),
+        DataFolder(_settings.data_dir),
+        _settings.limits,
+        _settings.leases,
+        _presence().owner,
+        lambda: _stopping.given,
+    )
+
+
+@cache
+def _presence() -> Presence:
+    """Of this process, until it ends: by it others know that it is there."""
+    until_the_end = contextlib.ExitStack()
+    atexit.register(until_the_end.close)
+    return until_the_end.enter_context(Presence(DataFolder(_settings.data_dir).workers))
+
+
 @cache
 def _runner() -> StageRunner:
     """One a process, made in the process that uses it: database connections do not survive a fork."""
     database, folder = Database(_settings.database_url), DataFolder(_settings.data_dir)
-    until_the_end = contextlib.ExitStack()
-    atexit.register(until_the_end.close)
-    presence = until_the_end.enter_context(Presence(folder.workers))
     return StageRunner(
         JobStore(database),
         LeaseStore(database, _settings.leases),
@@ -53,7 +81,7 @@ def _runner() -> StageRunner:
         _settings.limits,
         _settings.leases,
         JobQueue(app).dispatch,
-        presence.owner,
+        _presence().owner,
         lambda: _stopping.given,
     )
 

@@ -137,8 +137,11 @@ def restart_plan(job_id: str, body: RestartIn, services: ServicesDep) -> list[Pl
 @router.delete("/jobs/{job_id}", status_code=204, summary="Delete a job", responses=documented(404, 409))
 def delete(job_id: str, services: ServicesDep) -> None:
     """Its outputs go with it, except those that another job refers to. A job that has not ended is kept (409)."""
+    clips = services.clips.clips(job_id)
     services.jobs.delete(job_id, services.stages.remove)
     services.folder.remove_log(job_id)
+    for clip in clips:
+        services.folder.clip(clip.id).unlink(missing_ok=True)
 
 
 @router.get("/jobs/{job_id}/log", summary="Read a job's log", responses=documented(404))

@@ -7,8 +7,10 @@ from pathlib import Path
 import pytest
 
 from tests.browser.conftest import Visit
+from tests.clips import clip_job
 from tests.finished import finished_job
 from tests.service import LiveApi
+from worker.clips import ClipRunner
 
 #: Draws 40 instants of 60 vehicles in four views, and says what it took.
 DRAWING = (Path(__file__).parent / "drawing.js").read_text()
@@ -64,3 +66,26 @@ class TestFilterIsTheApis:
         ).json()
         assert found["kept"] == [[state["time_ns"], state["track_id"]] for state in answered["states"]]
         assert 0 < len(found["kept"]) <= 100
+
+
+def test_a_clip_of_what_is_shown_is_asked_for_and_taken(signed_in: Visit, api: LiveApi) -> None:
+    job = clip_job(api)
+    page = signed_in.open(f"/jobs/{job}/player")
+    page.get_by_label("Clip from, s").fill("1")
+    page.get_by_label("Clip to, s").fill("2.5")
+    page.get_by_label("Colour by").select_option("speed")
+    page.get_by_role("checkbox", name="bus").uncheck()
+    page.get_by_role("button", name="Render").click()
+    page.get_by_text("waits for a worker").wait_for()
+    [clip] = api.services.clips.clips(job)
+    assert (clip.spec.start_ns, clip.spec.end_ns, clip.spec.colour) == (10**9, 25 * 10**8, "speed")
+    assert [item.value for item in clip.spec.classes] == ["car"]
+    services, settings = api.services, api.services.settings
+    ClipRunner(services.jobs, services.clips, services.folder, settings.limits, settings.leases, "tests").run(clip.id)
+    with page.expect_download() as download:
+        page.get_by_role("link", name="Download the clip 0:01.0 to 0:02.5").click()
+    assert download.value.path().read_bytes()[4:8] == b"ftyp"
+    assert download.value.suggested_filename == f"{job}-{clip.id}.mp4"
+    page.get_by_role("button", name="Delete the clip 0:01.0 to 0:02.5").click()
+    page.get_by_text("None yet.").wait_for()
+    assert services.clips.clips(job) == []

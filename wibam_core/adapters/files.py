@@ -8,8 +8,10 @@ import os
 import re
 import secrets
 import shutil
+import tempfile
 import time
 from collections import OrderedDict
+from collections.abc import Callable, Collection
 from pathlib import Path
 from types import TracebackType
 from typing import BinaryIO, Self
@@ -26,14 +28,14 @@ class DataFolder:
     """Where everything but the database's rows lies.
 
     ``uploads/`` unfinished uploads, ``files/`` finished ones, ``stages/`` published outputs (`StageStore`),
-    ``logs/`` one text file a job, ``cache/`` what stages may cache, ``workers/`` who is there (`presence`),
-    ``database-id`` whose folder it is, ``folder-id`` which one.
+    ``logs/`` one text file a job, ``clips/`` finished video clips, ``cache/`` what stages may cache, ``workers/``
+    who is there (`presence`), ``database-id`` whose folder it is, ``folder-id`` which one.
     """
 
     def __init__(self, root: Path) -> None:
         self.root = root.absolute()
         self.root.mkdir(mode=0o700, parents=True, exist_ok=True)
-        for folder in ("uploads", "files", "stages", "logs", "cache", "workers"):
+        for folder in ("uploads", "files", "stages", "logs", "clips", "cache", "workers"):
             (self.root / folder).mkdir(exist_ok=True)
 
     @property
@@ -56,6 +58,30 @@ class DataFolder:
 
     def log(self, job_id: str) -> Path:
         return self.root / "logs" / f"{_plain(job_id)}.log"
+
+    def clip(self, clip_id: str) -> Path:
+        return self.root / "clips" / f"{_plain(clip_id)}.mp4"
+
+    def clip_workspace(self, clip_id: str) -> tempfile.TemporaryDirectory[str]:
+        """A folder beside the finished clips for whoever renders one. Where it was killed, `tidy_clips` removes it."""
+        folder = self.root / "clips"
+        return tempfile.TemporaryDirectory(prefix=f".{_plain(clip_id)}-", dir=folder, ignore_cleanup_errors=True)
+
+    def tidy_clips(self, known: Callable[[], Collection[str]], older_than_s: float = 3600.0) -> None:
+        """Remove clips that nobody knows any more, and what killed renderings left.
+
+        Args:
+            known: the ids of all clips, asked for once the files are listed.
+            older_than_s: what has been written to meanwhile may be a clip that is being made.
+        """
+        limit = time.time() - older_than_s
+        there = [path for path in (self.root / "clips").iterdir() if _unchanged_since(path, limit)]
+        ids = known()
+        for path in there:
+            if path.is_dir():
+                shutil.rmtree(path, ignore_errors=True)
+            elif path.stem not in ids:
+                path.unlink(missing_ok=True)
 
     def require_space(self, size_bytes: int) -> None:
         """Raises:

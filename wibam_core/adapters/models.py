@@ -187,6 +187,31 @@ class LabelVersionRow(Base):
     saved_at: Mapped[float]
 
 
+class ClipRow(Base):
+    """A video clip of a job's results; ``tracks_hash`` is the address of the outputs whose tracks it shows."""
+
+    __tablename__ = "clips"
+    __table_args__ = (Index("ix_clips_state", "state", "lease_expires_at"),)
+
+    id: Mapped[str] = mapped_column(String(64), primary_key=True)
+    job_id: Mapped[str] = mapped_column(ForeignKey("jobs.id", ondelete="CASCADE"), index=True)
+    spec: Mapped[dict[str, Any]]
+    tracks_hash: Mapped[str] = mapped_column(String(64))
+    state: Mapped[str] = mapped_column(String(16))
+    attempts: Mapped[int]
+    fence: Mapped[int]
+    lease_owner: Mapped[str | None] = mapped_column(String(255))
+    lease_expires_at: Mapped[float | None]
+    dispatched_at: Mapped[float | None]
+    fraction: Mapped[float]
+    message: Mapped[str] = mapped_column(Text)
+    error: Mapped[dict[str, Any] | None]
+    facts: Mapped[dict[str, Any] | None]
+    size_bytes: Mapped[int | None] = mapped_column(BigInteger)
+    created_at: Mapped[float]
+    finished_at: Mapped[float | None]
+
+
 class EventRow(Base):
     __tablename__ = "events"
 

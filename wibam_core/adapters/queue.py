@@ -19,7 +19,7 @@ from wibam_core.adapters.job_rows import StageKey
 from wibam_core.errors import ServiceUnavailable
 from wibam_core.stages.graph import STAGES
 
-RUN_STAGE = "wibam.run_stage"
+RUN_STAGE, RENDER_CLIP = "wibam.run_stage", "wibam.render_clip"
 _DAY_S = 24 * 3600
 _LEAST_URGENT = 9
 #: Of a stage's message, from 0, the most urgent, to 9, as many as Celery tells apart on Redis.
@@ -77,6 +77,15 @@ class JobQueue:
                 self._app.send_task(RUN_STAGE, args=[key.job_id, key.stage], retry=False, priority=urgency)
             except OperationalError as error:
                 _log.warning("could not dispatch %s of %s: %s; it will be tried again", key.stage, key.job_id, error)
+                return
+
+    def dispatch_clips(self, clip_ids: Iterable[str]) -> None:
+        """Tell the workers of clips that are queued, before all stages: somebody waits in front of a page."""
+        for clip_id in clip_ids:
+            try:
+                self._app.send_task(RENDER_CLIP, args=[clip_id], retry=False, priority=0)
+            except OperationalError as error:
+                _log.warning("could not dispatch %s: %s; it will be tried again", clip_id, error)
                 return
 
     def ping(self) -> None:

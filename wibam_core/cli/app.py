@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 #: In the order of the list: what a person types -> the module and its function, or its `app` of several commands.
 COMMANDS: Mapping[str, tuple[str, str]] = MappingProxyType(
     {
-        **{name: (name, name) for name in ("demo", "run", "serve", "upload", "sites", "tracks", "export")},
+        **{name: (name, name) for name in ("demo", "run", "serve", "upload", "sites", "tracks", "clip", "export")},
         "import": ("importing", "import_data"),
         "calibration": ("calibration", "calibration"),
         **{name: (name, name) for name in ("simulate", "detect", "signals", "track")},

@@ -13,6 +13,7 @@ from wibam_core.client.client import WibamClient
 from wibam_core.client.uploading import UploadProgress
 from wibam_core.client.views import (
     ArtifactView,
+    ClipView,
     FileView,
     JobView,
     PlannedView,
@@ -23,6 +24,7 @@ from wibam_core.client.views import (
 
 __all__ = [
     "ArtifactView",
+    "ClipView",
     "FileView",
     "JobView",
     "PlannedView",

@@ -6,8 +6,10 @@ from typing import Any
 
 from pydantic import BaseModel, ConfigDict
 
+from wibam_core.documents.clips import ClipFacts, ClipSpec
 from wibam_core.documents.warnings import StageWarning
 from wibam_core.errors import WibamError
+from wibam_core.jobs.clips import ClipState
 from wibam_core.jobs.records import Purpose
 from wibam_core.jobs.states import JobState, StageState
 
@@ -96,3 +98,24 @@ class ArtifactView(_View):
     title: str
     size_bytes: int
     sha256: str
+
+
+class ClipView(_View):
+    """A video clip as it stands."""
+
+    id: str
+    spec: ClipSpec
+    state: ClipState
+    fraction: float
+    message: str
+    error: ProblemView | None = None
+    facts: ClipFacts | None = None
+    size_bytes: int | None = None
+    outdated: bool = False
+
+    def raise_for_failure(self) -> None:
+        """Raises:
+        WibamError: of the kind that made it fail.
+        """
+        if self.state is ClipState.FAILED and self.error is not None:
+            raise WibamError.from_dict(self.error.model_dump())

@@ -33,19 +33,16 @@ from wibam_core.report.data import (
     ClockRow,
     Dataset,
     Example,
-    Image,
     Recording,
     ReportData,
     StageRow,
     Synchronisation,
     Training,
 )
-from wibam_core.report.mosaic import typical_image
+from wibam_core.report.mosaic import typical_images
 from wibam_core.report.selection import Choice, busiest, choose_examples
 from wibam_core.scene import AnnotatedInstant, CameraRig, Vehicles3D
 
-#: Frames of each camera whose median is its typical image.
-_TYPICAL_FRAMES = 9
 _CLUSTER_INSTANTS = 4
 _METHODS = {
     "lifted": "lifted: boxes fitted to all views of each vehicle, then learned",
@@ -108,7 +105,7 @@ def assemble(
         tracks=tuple(tracks),
         conflicts=tuple(conflicts.conflicts),
         conflict_thresholds=conflicts.thresholds,
-        typical_images=_typical_images(store, rig),
+        typical_images=typical_images(store, rig),
         clusters=tuple(_clustered(instant, rig) for instant in busiest(annotations, _CLUSTER_INSTANTS)),
         boxes=tuple(_boxes(choice, predictions, timeline) for choice in choices),
         examples=tuple(_example(choice, store, rig, predictions, timeline) for choice in choices),
@@ -229,16 +226,6 @@ def _curve(title: str, steps: Sequence[int], losses: Sequence[Mapping[str, float
     """One part of the losses, over the epochs that have it."""
     known = [(step, loss[name]) for step, loss in zip(steps, losses, strict=True) if name in loss]
     return Curve(title, tuple(step for step, _ in known), tuple(value for _, value in known))
-
-
-def _typical_images(store: FrameStore, rig: CameraRig) -> dict[str, Image]:
-    images = {}
-    for camera_id in rig:
-        times = [instant.time_ns for instant in store.frame_sets if camera_id in instant.frame_times_ns]
-        if times:
-            picks = np.unique(np.linspace(0, len(times) - 1, _TYPICAL_FRAMES).round().astype(int))
-            images[camera_id] = typical_image([store.image(camera_id, times[pick]) for pick in picks])
-    return images
 
 
 def _clustered(instant: AnnotatedInstant, rig: CameraRig) -> ClusteredInstant:

@@ -2,21 +2,27 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from wibam_core.formats.framestore import FrameStore
+from wibam_core.geometry.box3d import XY
 from wibam_core.geometry.camera import Camera
-from wibam_core.scene import CameraRig
+from wibam_core.scene import CameraRig, Track
 
 Array = NDArray[np.float64]
 Image = NDArray[np.uint8]
 
 #: A cell that a camera sees at a flatter angle than this is left to the others: it would be a long smear.
 _MIN_ELEVATION_RAD = np.radians(7.0)
+#: Frames of each camera whose median is its typical image.
+_TYPICAL_FRAMES = 9
+#: Tracks farther than this outside the circle of cameras do not widen the maps.
+_STRAY_M = 30.0
 
 
 @dataclass(frozen=True)
@@ -43,6 +49,30 @@ class Extent:
 def typical_image(images: list[Image]) -> Image:
     """Median (H, W, 3) of images of one camera at different times: what moves vanishes."""
     return np.asarray(np.median(np.stack(images), axis=0), dtype=np.uint8)
+
+
+def typical_images(store: FrameStore, rig: CameraRig) -> dict[str, Image]:
+    """Camera id -> `typical_image` of frames spread over the recording; cameras without any are left out."""
+    images = {}
+    for camera_id in rig:
+        times = [instant.time_ns for instant in store.frame_sets if camera_id in instant.frame_times_ns]
+        if times:
+            picks = np.unique(np.linspace(0, len(times) - 1, _TYPICAL_FRAMES).round().astype(int))
+            images[camera_id] = typical_image([store.image(camera_id, times[pick]) for pick in picks])
+    return images
+
+
+def where_traffic_is(rig: CameraRig, tracks: Sequence[Track]) -> Array:
+    """(N, 2) where the cameras and nearly all states of tracks are, without what strayed far from the cameras, m."""
+    cameras = np.array([camera.centre_m[:2] for camera in rig.values()])
+    states = np.concatenate([np.empty((0, 2)), *(track.boxes[:, XY] for track in tracks)])
+    centre = cameras.mean(axis=0)
+    reach_m = np.linalg.norm(cameras - centre, axis=1).max() + _STRAY_M
+    near = states[np.linalg.norm(states - centre, axis=1) <= reach_m]
+    if not len(near):
+        return cameras
+    low, high = np.percentile(near, [1, 99], axis=0)
+    return np.concatenate([cameras, near[((near >= low) & (near <= high)).all(axis=1)]])
 
 
 def ground_mosaic(rig: CameraRig, images: Mapping[str, Image], extent: Extent, cell_m: float) -> Image:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from itertools import pairwise
 
 import cv2
@@ -14,6 +15,7 @@ from wibam_core.geometry.projection import NEAR_M
 
 Array = NDArray[np.float64]
 Image = NDArray[np.uint8]
+Bgr = tuple[int, int, int]
 
 #: Corners of the front face, in order around it.
 FRONT_FACE = (0, 3, 7, 4)
@@ -26,7 +28,7 @@ def draw_boxes(
     image: Image,
     camera: Camera,
     boxes: ArrayLike,
-    colour_bgr: tuple[int, int, int],
+    colour_bgr: Bgr | Sequence[Bgr],
     *,
     thickness_px: int = 2,
     mark_front: bool = True,
@@ -37,7 +39,7 @@ def draw_boxes(
         image: (H, W, 3), BGR, uint8, of any size with the camera's aspect ratio.
         camera: of the recording; resized to the image here.
         boxes: (N, 7) in the world.
-        colour_bgr: of the lines.
+        colour_bgr: of the lines: one for all boxes, or one for each.
         thickness_px: of the lines.
         mark_front: tint the front face, so that a heading that is off by half a turn shows.
     """
@@ -46,12 +48,14 @@ def draw_boxes(
     drawn = image.copy()
     cam = camera.to_camera(corners(np.asarray(boxes, dtype=np.float64).reshape(-1, 7)))
     order = np.argsort(-np.linalg.norm(cam.mean(axis=1), axis=1), kind="stable")
-    for vertices in cam[order]:
+    colours = np.broadcast_to(np.asarray(colour_bgr, dtype=np.int64), (len(cam), 3)).tolist()
+    for number in order:
+        vertices, (blue, green, red) = cam[number], colours[number]
         if mark_front:
-            _tint(drawn, camera, vertices[list(FRONT_FACE)], colour_bgr)
+            _tint(drawn, camera, vertices[list(FRONT_FACE)], (blue, green, red))
         for start, end in EDGES:
             for a, b in project_edge(camera, vertices[start], vertices[end]):
-                _line(drawn, a, b, colour_bgr, thickness_px)
+                _line(drawn, a, b, (blue, green, red), thickness_px)
     return drawn
 
 
@@ -103,20 +107,23 @@ def clip_near(polygon_cam: Array) -> Array:
     return np.array(kept).reshape(-1, 3)
 
 
-def _tint(image: Image, camera: Camera, face_cam: Array, colour_bgr: tuple[int, int, int]) -> None:
+def _tint(image: Image, camera: Camera, face_cam: Array, colour_bgr: Bgr) -> None:
     face = clip_near(face_cam)
     if len(face) < 3:
         return
     uv = camera.project_camera_points(face)
     if np.abs(uv).max() > 8 * max(camera.width_px, camera.height_px):
         return
-    mask = np.zeros(image.shape[:2], np.uint8)
-    cv2.fillPoly(mask, [_fixed_point(uv)], 1, lineType=cv2.LINE_8, shift=_SUBPIXEL_BITS)
+    low = np.clip(np.floor(uv.min(axis=0)).astype(int), 0, None)
+    high = np.ceil(uv.max(axis=0)).astype(int) + 1
+    around = image[low[1] : max(high[1], low[1]), low[0] : max(high[0], low[0])]
+    mask = np.zeros(around.shape[:2], np.uint8)
+    cv2.fillPoly(mask, [_fixed_point(uv - low)], 1, lineType=cv2.LINE_8, shift=_SUBPIXEL_BITS)
     inside = mask.astype(bool)
-    image[inside] = (0.5 * image[inside] + 0.5 * np.array(colour_bgr)).astype(np.uint8)
+    around[inside] = (0.5 * around[inside] + 0.5 * np.array(colour_bgr)).astype(np.uint8)
 
 
-def _line(image: Image, a: Array, b: Array, colour_bgr: tuple[int, int, int], thickness_px: int) -> None:
+def _line(image: Image, a: Array, b: Array, colour_bgr: Bgr, thickness_px: int) -> None:
     start, end = (tuple(int(v) for v in _fixed_point(point)) for point in (a, b))
     cv2.line(image, start, end, colour_bgr, thickness_px, cv2.LINE_AA, shift=_SUBPIXEL_BITS)
 

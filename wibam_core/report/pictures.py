@@ -9,12 +9,11 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from wibam_core.documents.metrics import Bin, OfClass, Part, Reliability
-from wibam_core.geometry.box3d import XY
 from wibam_core.report import bev, charts
 from wibam_core.report.bev import BoxesInstant, ConflictMark, Ground
 from wibam_core.report.data import Array, Example, Image, ReportData
 from wibam_core.report.encode import EXAMPLE_WIDTH_PX, jpeg_uri, svg_uri, webp_uri
-from wibam_core.report.mosaic import Extent, ground_mosaic
+from wibam_core.report.mosaic import Extent, ground_mosaic, where_traffic_is
 from wibam_core.report.overlay import draw_boxes
 from wibam_core.report.style import BASELINE, FINETUNED, bgr
 
@@ -22,8 +21,6 @@ from wibam_core.report.style import BASELINE, FINETUNED, bgr
 MAX_CONFLICTS = 60
 #: Side of the orthophoto, px.
 _PHOTO_PX = 600
-#: Tracks farther than this outside the circle of cameras do not widen the maps.
-_MAP_MARGIN_M = 30.0
 _WHITE = (255, 255, 255)
 
 
@@ -118,21 +115,8 @@ def conflict_marks(data: ReportData) -> list[ConflictMark]:
     ]
 
 
-def _places(data: ReportData) -> Array:
-    """(N, 2) where the cameras and nearly all states of tracks are, without what strayed far from the cameras."""
-    cameras = np.array([camera.centre_m[:2] for camera in data.rig.values()])
-    states = np.concatenate([np.empty((0, 2)), *(track.boxes[:, XY] for track in data.tracks)])
-    centre = cameras.mean(axis=0)
-    reach_m = np.linalg.norm(cameras - centre, axis=1).max() + _MAP_MARGIN_M
-    near = states[np.linalg.norm(states - centre, axis=1) <= reach_m]
-    if not len(near):
-        return cameras
-    low, high = np.percentile(near, [1, 99], axis=0)
-    return np.concatenate([cameras, near[((near >= low) & (near <= high)).all(axis=1)]])
-
-
 def _ground(data: ReportData) -> Ground:
-    extent = Extent.around(_places(data))
+    extent = Extent.around(where_traffic_is(data.rig, data.tracks))
     if not data.typical_images:
         return Ground(extent)
     cell_m = (extent.x_max_m - extent.x_min_m) / _PHOTO_PX

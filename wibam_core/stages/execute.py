@@ -141,12 +141,19 @@ def run_stage(request: StageRequest, progress: Progress, warned: WarningListener
     return summary
 
 
-class _Reporter:
+class Reporter:
     """Progress as JSON lines, a few a second at most; the last one always."""
 
     def __init__(self, stream: IO[str]) -> None:
         self._stream = stream
         self._last = 0.0
+
+    @classmethod
+    def on_standard_output(cls) -> Reporter:
+        """One that alone writes to standard output: what others print there goes to standard error from now on."""
+        reporter = cls(os.fdopen(os.dup(1), "w"))
+        os.dup2(2, 1)
+        return reporter
 
     def emit(self, event: str, **fields: Any) -> None:
         self._stream.write(json.dumps({"event": event, **fields}) + "\n")
@@ -166,8 +173,7 @@ class _Reporter:
 
 def main(arguments: list[str]) -> int:
     """The program: see the module's docstring."""
-    reporter = _Reporter(os.fdopen(os.dup(1), "w"))
-    os.dup2(2, 1)
+    reporter = Reporter.on_standard_output()
     request = StageRequest.model_validate_json(Path(arguments[0]).read_bytes())
     try:
         summary = run_stage(request, reporter, reporter.warn)

@@ -2,6 +2,7 @@
 import { get, getIfThere, query } from "../api.js";
 import { attempt, byId, fill, h, message, say } from "../dom.js";
 import { clock, number, percent, words } from "../format.js";
+import { ClipPanel } from "../clippanel.js";
 import { FrameCache } from "../frames.js";
 import { jobId, showTabs, showTitle } from "../jobtabs.js";
 import { groundInView, Plan } from "../plan.js";
@@ -265,6 +266,7 @@ async function start() {
   showMarks();
   listen();
   showQuery();
+  if (tracks.times.length) new ClipPanel(() => ({ filter, colour: byId("colour").value, trailS: Number(byId("trail").value), boxes: byId("boxes").checked, speed: Number(byId("speed").value) }), () => tracks.times[index], () => [tracks.times[0], tracks.times[tracks.times.length - 1] + 1e8]);
   const wanted = new URLSearchParams(location.search);
   const asked = conflicts.find((one) => String(one.conflict_id) === wanted.get("conflict"));
   if (asked) openConflict(asked);
