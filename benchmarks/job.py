@@ -3,7 +3,7 @@
 Stages run one after the other, each as a process of its own, as a worker of the service runs them. Seconds are per
 minute of footage (the shortest recording). Memory is the largest process's peak. The bare work is what a stage cannot
 do without: libavcodec's decoding of the recordings (`sync` where there are signal regions, `frames`), and the passes of
-the networks on prepared input, over as many images and crops as the stage shows them (`detect`, `evaluate`, `track`).
+the networks on prepared input, over as many images and crops as the stage shows them (`detect`, `predict`, `evaluate`).
 It is timed on one thread, in the same run, networks on a sample of the passes; printed is what the stage's CPU time is
 of it. What the output folder holds already is not run again, and has no row.
 
@@ -157,9 +157,10 @@ def bare_s(folder: SiteFolder, made: ArtifactReader, config: PipelineConfig) -> 
     if made.has(SPLIT) and made.has(RIG) and config.finetune.network == "small":
         image_s = monocular_pass_s(*shape[2:])
         tested = set(made.read(SPLIT).times_ns["test"])
-        of_test = images([instant for instant in store.frame_sets if instant.time_ns in tested])
-        bare["evaluate"] = 2 * image_s * of_test  # the baseline and the fine-tuned network
-        bare["track"] = image_s * images(store.thinned(config.track.rate_hz))
+        of_test = [instant for instant in store.frame_sets if instant.time_ns in tested]
+        tracked = {instant.time_ns for instant in store.thinned(config.track.rate_hz)}
+        bare["evaluate"] = image_s * images(of_test)  # the baseline; the fine-tuned network sees them before
+        bare["predict"] = image_s * images([one for one in store.frame_sets if one.time_ns in tested | tracked])
     return bare
 
 

@@ -7,7 +7,7 @@ from types import MappingProxyType
 from typing import Any, Final
 
 from wibam_core.artifacts.artifact import Artifact
-from wibam_core.artifacts.codecs import BINARY, JSON, Codec, document, opaque, own_format, text
+from wibam_core.artifacts.codecs import BINARY, JSON, PARQUET, Codec, document, opaque, own_format, text
 from wibam_core.documents.calibration import CalibrationResiduals
 from wibam_core.documents.conflicts import Conflicts
 from wibam_core.documents.curves import Curves
@@ -27,6 +27,7 @@ from wibam_core.formats.clocks import read_clocks, write_clocks
 from wibam_core.formats.detections import read_detections, write_detections
 from wibam_core.formats.framestore import FrameStore
 from wibam_core.formats.instants import read_instants, write_instants
+from wibam_core.formats.predictions import Predictions
 from wibam_core.formats.rig import read_rig, write_rig
 from wibam_core.formats.timestamps import read_timestamps, write_timestamps
 from wibam_core.formats.tracks import read_tracks, write_tracks
@@ -109,6 +110,13 @@ WEIGHTS_ONNX: Final = Artifact(
     "weights-onnx", "finetune", "weights.onnx", "The fine-tuned network as ONNX", opaque(), optional=True
 )
 CURVES: Final = Artifact("curves", "finetune", "curves.json", "Losses of the training", document(Curves))
+PREDICTIONS: Final = Artifact(
+    "predictions",
+    "predict",
+    "predictions.parquet",
+    "3D boxes in the images of all cameras",
+    Codec(PARQUET, Predictions, None, Predictions.__module__),
+)
 METRICS: Final = Artifact("metrics", "evaluate", "metrics.json", "How good the networks are", document(Metrics))
 PREDICTIONS_BASELINE: Final = Artifact(
     "predictions-baseline",

@@ -1,7 +1,14 @@
 """Frozen configurations, one per stage. Unknown keys are refused; nothing here reads the environment."""
 
 from wibam_core.config.base import StageConfig
-from wibam_core.config.learning import DatasetConfig, DeviceOption, EvaluateConfig, FinetuneConfig, LiftConfig
+from wibam_core.config.learning import (
+    DatasetConfig,
+    DeviceOption,
+    EvaluateConfig,
+    FinetuneConfig,
+    LiftConfig,
+    PredictConfig,
+)
 from wibam_core.config.pipeline import PipelineConfig
 from wibam_core.config.recordings import CalibrateConfig, FramesConfig, PreflightConfig, SyncConfig
 from wibam_core.config.traffic import ReportConfig, SafetyConfig, TrackConfig
@@ -18,6 +25,7 @@ __all__ = [
     "FramesConfig",
     "LiftConfig",
     "PipelineConfig",
+    "PredictConfig",
     "PreflightConfig",
     "RefineConfig",
     "ReportConfig",

@@ -145,6 +145,13 @@ class FinetuneConfig(StageConfig):
         return value
 
 
+class PredictConfig(StageConfig):
+    """What the stages that read the fine-tuned network's boxes ask of it; there are no options of its own."""
+
+    rate_hz: float = Field(gt=0, description="instants per second that are searched beside those of the test part")
+    min_score: float = Field(ge=0, lt=1, description="weaker boxes are left out")
+
+
 class EvaluateConfig(StageConfig):
     max_range_m: float = Field(50.0, gt=0, le=1000, description="labels farther from the camera are not counted")
     min_visibility: float = Field(0.3, ge=0, le=1, description="labels less visible are not counted")
@@ -152,3 +159,6 @@ class EvaluateConfig(StageConfig):
         4.0, gt=0, le=50, description="a detection farther than this from a label is no match"
     )
     min_score: float = Field(0.25, ge=0, lt=1, description="weaker detections are not counted")
+    kept_score: float = Field(
+        0.1, ge=0, lt=1, description="detections down to this score, or to a lower min_score, are kept in the files"
+    )

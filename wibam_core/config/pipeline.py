@@ -30,6 +30,12 @@ class PipelineConfig(StageConfig):
     safety: traffic.SafetyConfig = traffic.SafetyConfig()
     report: traffic.ReportConfig = traffic.ReportConfig()
 
+    @property
+    def predict(self) -> learning.PredictConfig:
+        """What evaluation and tracking need."""
+        min_score = min(self.evaluate.kept_score, self.evaluate.min_score, self.track.min_score)
+        return learning.PredictConfig(rate_hz=self.track.rate_hz, min_score=min_score)
+
     @classmethod
     def parse(cls, options: Mapping[str, Any]) -> PipelineConfig:
         """From nested options, e.g. ``{"finetune": {"steps": 200}}``.

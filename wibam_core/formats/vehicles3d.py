@@ -30,7 +30,13 @@ SCHEMA = pa.schema(
 def write_vehicles3d(path: Path, vehicles: Iterable[Vehicles3D]) -> None:
     """Write, sorted by time, then camera. Instants without a vehicle are kept."""
     ordered = sorted(vehicles, key=_key)
-    full = [v for v in ordered if len(v)]
+    empty = [(v.time_ns, v.camera_id) for v in ordered if not len(v)]
+    tables.write_table(path, table_of(ordered), empty_instants=empty)
+
+
+def table_of(vehicles: Iterable[Vehicles3D]) -> pa.Table:
+    """The rows of vehicles, in their order."""
+    full = [v for v in vehicles if len(v)]
     n_of = [len(v) for v in full]
     columns = {
         "time_ns": np.repeat(np.array([v.time_ns for v in full], np.int64), n_of),
@@ -41,8 +47,7 @@ def write_vehicles3d(path: Path, vehicles: Iterable[Vehicles3D]) -> None:
         **tables.float_columns(BOX_FIELDS, _concatenate([v.boxes.ravel() for v in full], np.float64)),
         **tables.float_columns(tables.SD_FIELDS, _concatenate([v.sd.ravel() for v in full], np.float64)),
     }
-    empty = [(v.time_ns, v.camera_id) for v in ordered if not len(v)]
-    tables.write_table(path, pa.table(columns, schema=SCHEMA), empty_instants=empty)
+    return pa.table(columns, schema=SCHEMA)
 
 
 def read_vehicles3d(path: Path) -> list[Vehicles3D]:
@@ -52,6 +57,13 @@ def read_vehicles3d(path: Path) -> list[Vehicles3D]:
         InputError: the file is not of this format.
     """
     table, empty = tables.read_table(path, SCHEMA, "vehicles")
+    found = vehicles_of(table)
+    found += [Vehicles3D.of(time, np.empty((0, 7)), camera_id=camera) for time, camera in empty]
+    return sorted(found, key=_key)
+
+
+def vehicles_of(table: pa.Table) -> list[Vehicles3D]:
+    """What rows of this format say, one entry for those beside each other of one instant and camera."""
     times = table["time_ns"].to_numpy()
     cameras = table["camera_id"].to_pylist()
     boxes = tables.stack_columns(table, BOX_FIELDS)
@@ -59,12 +71,10 @@ def read_vehicles3d(path: Path) -> list[Vehicles3D]:
     classes = tables.class_indices(table)
     ids, scores = table["vehicle_id"].to_numpy(), table["score"].to_numpy()
     starts = [i for i in range(len(times)) if i == 0 or (times[i], cameras[i]) != (times[i - 1], cameras[i - 1])]
-    found = [
+    return [
         Vehicles3D(int(times[a]), boxes[a:b], classes[a:b], ids[a:b], scores[a:b], sd[a:b], cameras[a])
         for a, b in pairwise([*starts, len(times)])
     ]
-    found += [Vehicles3D.of(time, np.empty((0, 7)), camera_id=camera) for time, camera in empty]
-    return sorted(found, key=_key)
 
 
 def _key(vehicles: Vehicles3D) -> tuple[int, str]:

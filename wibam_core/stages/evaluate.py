@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Collection, Mapping, Sequence
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, replace
 from typing import Any
 
 from wibam_core.artifacts.catalogue import (
     ANNOTATIONS,
     FRAMES,
     METRICS,
+    PREDICTIONS,
     PREDICTIONS_BASELINE,
     PREDICTIONS_FINETUNED,
     RIG,
@@ -33,12 +34,13 @@ from wibam_core.formats.labels import read_labels
 from wibam_core.models.network import Network
 from wibam_core.models.stored_frames import stored_frames
 from wibam_core.models.weights import bundled
-from wibam_core.networks.registry import family_of, load_to_detect
+from wibam_core.networks.registry import family_of, load_network, load_to_detect
 from wibam_core.placing import Decode
 from wibam_core.progress import Progress, part
 from wibam_core.road_users import CLASSES, RoadUserClass
 from wibam_core.scene import CameraRig, FrameSet, Vehicles3D
 from wibam_core.stages.base import StageContext, Summary
+from wibam_core.stages.predict import predictions
 from wibam_core.training.device import choose_device_to_detect
 
 #: Figures of parts of the labelled vehicles, by their names in the metrics.
@@ -50,24 +52,6 @@ _BREAKDOWNS = {
 }
 #: How the published method places the boxes of the network before fine-tuning; beside as the fine-tuned one's are.
 _PUBLISHED: tuple[Decode, ...] = ("plane", "depth")
-#: Detections down to this score are kept in the files, or to a lower one that is asked for; the evaluators apply their
-#: own thresholds.
-_KEPT_SCORE = 0.1
-
-
-@dataclass(frozen=True)
-class _Detector:
-    """A network under test.
-
-    Attributes:
-        network: as it runs.
-        decodes: name of a method -> how its boxes are placed.
-        factors: what its standard deviations are multiplied with.
-    """
-
-    network: Network
-    decodes: Mapping[str, Decode]
-    factors: SdFactors
 
 
 def run(context: StageContext, config: EvaluateConfig) -> Summary:
@@ -85,26 +69,21 @@ def run(context: StageContext, config: EvaluateConfig) -> Summary:
     if "labels" in context.assets:
         labels = LabelTimeline(labels_of_views(read_labels(context.assets["labels"]), rig))
     instants = _test_instants(context, store, labels)
-    tuned = load_to_detect(context.read(WEIGHTS))
+    min_score = min(config.kept_score, config.min_score)
+    tuned = load_network(context.read(WEIGHTS))
     card, factors = tuned.card, SdFactors(**tuned.card.sd_factors)
     start = context.assets["network"] if card.start == "custom" else bundled("mono_small.safetensors")
     device = choose_device_to_detect(card.device or "auto")
     baseline = load_to_detect(start, device, card.input_width_px)  # the same images for both
     decodes = family_of(card.family).decodes
     published = {f"baseline_{way}": way for way in _PUBLISHED if way != card.decode and way in decodes}
-    detectors = (
-        _Detector(baseline, {"baseline": card.decode, **published}, SdFactors()),
-        _Detector(tuned, {"finetuned": card.decode}, factors),
-    )
-    known = baseline.known & tuned.known
-    predictions: dict[str, list[Vehicles3D]] = {}
-    for number, detector in enumerate(detectors):
-        progress = part(context.progress, number / len(detectors), (number + 1) / len(detectors))
-        min_score = min(_KEPT_SCORE, config.min_score)
-        predictions |= _detect(detector, store, instants, rig, min_score, progress)
-    context.write(PREDICTIONS_BASELINE, predictions["baseline"])
-    context.write(PREDICTIONS_FINETUNED, predictions["finetuned"])
-    metrics = _metrics(context, config, instants, predictions, labels, factors, known)
+    ways = {"baseline": card.decode, **published}
+    finetuned = _finetuned(context, store, instants, rig, min_score, part(context.progress, 0.0, 0.2))
+    before = _detect(baseline, ways, store, instants, rig, min_score, part(context.progress, 0.2, 1.0))
+    found = {**before, "finetuned": finetuned}
+    context.write(PREDICTIONS_BASELINE, found["baseline"])
+    context.write(PREDICTIONS_FINETUNED, found["finetuned"])
+    metrics = _metrics(context, config, instants, found, labels, factors, baseline.known & tuned.known)
     context.write(METRICS, metrics)
     headlines = {"baseline": metrics.baseline, "finetuned": metrics.finetuned}
     return {
@@ -122,23 +101,46 @@ def _test_instants(context: StageContext, store: FrameStore, labels: LabelTimeli
     return instants
 
 
+def _finetuned(
+    context: StageContext,
+    store: FrameStore,
+    instants: Sequence[FrameSet],
+    rig: CameraRig,
+    min_score: float,
+    progress: Progress,
+) -> list[Vehicles3D]:
+    """What the fine-tuned network found, one `Vehicles3D` per frame, in order of time, then of the rig.
+
+    Labelled instants that were not searched before are searched here: what is labelled changes nothing for tracking.
+    """
+    there = dict(context.read(PREDICTIONS).at([instant.time_ns for instant in instants]))
+    missing = [instant for instant in instants if instant.time_ns not in there]
+    if missing:
+        network = load_to_detect(context.read(WEIGHTS))
+        for number, found in enumerate(predictions(network, store, missing, rig, min_score), 1):
+            there.setdefault(found.time_ns, {})[str(found.camera_id)] = found
+            progress(number / (len(missing) * len(rig)), "Detecting: labelled instants")
+    of_views = (there.get(instant.time_ns, {}) for instant in instants)
+    return _above([found[camera_id] for found in of_views for camera_id in rig if camera_id in found], min_score)
+
+
 def _detect(
-    detector: _Detector,
+    network: Network,
+    ways: Mapping[str, Decode],
     store: FrameStore,
     instants: Sequence[FrameSet],
     rig: CameraRig,
     min_score: float,
     progress: Progress,
 ) -> dict[str, list[Vehicles3D]]:
-    """Name of a method -> its detections, one `Vehicles3D` per frame."""
+    """Name of a way to place boxes -> what the network finds, placed so, one `Vehicles3D` per frame."""
     frames = stored_frames(store, instants, rig)
     total = sum(len(rig.keys() & instant.frame_times_ns.keys()) for instant in instants)
-    decodes = tuple(detector.decodes.values())
-    detected = detector.network.predict_each(frames, decodes=decodes, min_score=min_score)
-    found: dict[str, list[Vehicles3D]] = {name: [] for name in detector.decodes}
-    for number, ways in enumerate(detected, 1):
-        for of_method, vehicles in zip(found.values(), ways, strict=True):
-            of_method.append(detector.factors.apply(vehicles))
+    detected = network.predict_each(frames, decodes=tuple(ways.values()), min_score=min_score)
+    found: dict[str, list[Vehicles3D]] = {name: [] for name in ways}
+    for number, placed in enumerate(detected, 1):
+        for of_way, vehicles in zip(found.values(), placed, strict=True):
+            of_way.append(vehicles)
         progress(number / total, f"Detecting: {next(iter(found))}")
     return found
 

@@ -132,7 +132,7 @@ class StageSpec:
         return code_digest(self.name, frozenset() if checks else self.asset_checks, layouts)
 
     def config(self, config: PipelineConfig) -> StageConfig:
-        """This stage's part of the options."""
+        """This stage's part of the options, or what follows from those of others."""
         part = getattr(config, self.name)
         assert isinstance(part, StageConfig)
         return part
@@ -192,15 +192,27 @@ _SPECS = (
         assets=("network",),
     ),
     StageSpec(
+        "predict",
+        "Detect in 3D with what was learned",
+        (catalogue.RIG, catalogue.FRAMES, catalogue.SPLIT, catalogue.WEIGHTS),
+    ),
+    StageSpec(
         "evaluate",
         "Evaluate",
-        (catalogue.RIG, catalogue.FRAMES, catalogue.ANNOTATIONS, catalogue.SPLIT, catalogue.WEIGHTS),
+        (
+            catalogue.RIG,
+            catalogue.FRAMES,
+            catalogue.ANNOTATIONS,
+            catalogue.SPLIT,
+            catalogue.WEIGHTS,
+            catalogue.PREDICTIONS,
+        ),
         assets=("labels", "network"),
     ),
     StageSpec(
         "track",
         "Track in 7DoF",
-        (catalogue.RIG, catalogue.FRAMES, catalogue.WEIGHTS),
+        (catalogue.RIG, catalogue.FRAMES, catalogue.PREDICTIONS),
     ),
     StageSpec("safety", "Find conflicts", (catalogue.TRACKS,)),
     StageSpec(

@@ -13,12 +13,12 @@ from tests.site_dataset import give_tiny_site, tiny_rig
 from tests.stage_folders import StageFolders
 from tests.tiny_network import CARD, TinyNetwork
 from wibam_core.artifacts import catalogue
-from wibam_core.config import EvaluateConfig, FinetuneConfig, TrackConfig
+from wibam_core.config import EvaluateConfig, FinetuneConfig, PipelineConfig, TrackConfig
 from wibam_core.errors import InvalidOption, InvalidWeights
 from wibam_core.networks import registry
 from wibam_core.networks.registry import load_network, read_card, save_network
 from wibam_core.road_users import RoadUserClass
-from wibam_core.stages import evaluate, finetune, track
+from wibam_core.stages import evaluate, finetune, predict, track
 
 OPTIONS = FinetuneConfig(network="custom", steps=150, steps_per_epoch=50, batch_size=3)
 
@@ -58,13 +58,15 @@ def test_it_trains_evaluates_and_tracks(folders: StageFolders, weights: Path) ->
     )
     assert not folders.place(catalogue.WEIGHTS_ONNX).exists()
 
+    tracking = TrackConfig(rate_hz=2.5, min_hits=1)
+    predict.run(folders.context("predict", site), PipelineConfig(track=tracking).predict)
     evaluate.run(folders.context("evaluate", site, assets=assets), EvaluateConfig())
     metrics = folders.read(catalogue.METRICS)
     assert set(metrics.self_consistency) == {"baseline", "finetuned"}  # it can place boxes in one way only
     sizes_m = [found.boxes[:, 3:6] for found in folders.read(catalogue.PREDICTIONS_FINETUNED)]
     np.testing.assert_allclose(np.median(np.concatenate(sizes_m), axis=0), [4.4, 1.8, 1.5], rtol=0.1)
 
-    track.run(folders.context("track", site), TrackConfig(rate_hz=2.5, min_hits=1))
+    track.run(folders.context("track", site), tracking)
     tracks = folders.read(catalogue.TRACKS)
     assert tracks and all(found.vehicle_class is RoadUserClass.CAR for found in tracks)
 

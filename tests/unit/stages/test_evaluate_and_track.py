@@ -14,7 +14,7 @@ import torch
 from tests.builders import corner_rig, site_of
 from tests.stage_folders import StageFolders
 from wibam_core.artifacts import catalogue
-from wibam_core.config import EvaluateConfig, TrackConfig
+from wibam_core.config import EvaluateConfig, PipelineConfig, TrackConfig
 from wibam_core.documents.metrics import Metrics, Reliability
 from wibam_core.documents.split import SUBSETS, Split
 from wibam_core.errors import TooFewInstants
@@ -29,7 +29,7 @@ from wibam_core.networks.small.network import CARD, SmallMonocular
 from wibam_core.networks.small.onnx_network import OnnxNetwork
 from wibam_core.road_users import RoadUserClass
 from wibam_core.scene import AnnotatedInstant, Detections2D, LabelledInstant, MultiViewVehicle, Track, Vehicles3D
-from wibam_core.stages import evaluate, track
+from wibam_core.stages import evaluate, predict, track
 from wibam_core.stages.base import Summary
 
 RIG = corner_rig(2)
@@ -72,12 +72,18 @@ class Job(StageFolders):
 
     labels: Path | None
 
+    def predict(self, **of_tracking: float) -> Summary:
+        options = PipelineConfig(track=TrackConfig(**of_tracking))
+        return predict.run(self.context("predict", site_of(RIG)), options.predict)
+
     def evaluate(self) -> tuple[Summary, Metrics]:
+        self.predict()
         assets = {} if self.labels is None else {"labels": self.labels}
         summary = evaluate.run(self.context("evaluate", site_of(RIG), assets=assets), EvaluateConfig())
         return summary, self.read(catalogue.METRICS)
 
     def track(self, **options: float) -> tuple[Summary, list[Track]]:
+        self.predict(**options)
         summary = track.run(self.context("track", site_of(RIG)), TrackConfig(**options))
         return summary, self.read(catalogue.TRACKS)
 
@@ -303,3 +309,64 @@ def test_the_tracker_is_told_when_each_frame_was_exposed(job: Job, monkeypatch: 
     (driving,) = (t for t in tracks if np.hypot(*t.velocities_mps[-1]) > 5)
     want = np.array([truth(time_ns)[0, 0] for time_ns in driving.times_ns.tolist()])
     assert np.abs(driving.boxes[5:, 0] - want[5:]).max() < 0.1
+
+
+def test_the_fine_tuned_network_sees_each_image_once_for_evaluation_and_tracking(
+    job: Job, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    seen: list[tuple[int, str]] = []
+
+    def watched(network: Any, frames: Iterable[Frame], **options: Any) -> Iterator[tuple[Vehicles3D, ...]]:
+        read = list(frames)
+        if network.card.method is not None:
+            seen.extend((frame.time_ns, frame.camera_id) for frame in read)
+        return each(oracle)(network, read, **options)
+
+    monkeypatch.setattr(OnnxNetwork, "predict_each", watched)
+    job.finetuned(method="lifted")
+    _, metrics = job.evaluate()
+    track.run(job.context("track", site_of(RIG)), TrackConfig())
+    wanted = {*TEST, *INSTANTS[::2]}
+    assert metrics.finetuned is not None and metrics.finetuned.matched > 0
+    assert sorted(seen) == sorted((time_ns, camera_id) for time_ns in wanted for camera_id in RIG)
+
+
+def test_new_labels_search_the_instants_that_they_add_and_no_others(
+    job: Job, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    job.split([], INSTANTS[10::5])
+    job.finetuned(method="lifted")
+    job.predict()
+    seen: set[int] = set()
+
+    def watched(network: Any, frames: Iterable[Frame], **options: Any) -> Iterator[tuple[Vehicles3D, ...]]:
+        read = list(frames)
+        if network.card.method is not None:
+            seen.update(frame.time_ns for frame in read)
+        return each(oracle)(network, read, **options)
+
+    monkeypatch.setattr(OnnxNetwork, "predict_each", watched)
+    labelled = LabelledInstant(Vehicles3D.of(INSTANTS[17], truth(INSTANTS[17])), {id_: np.ones(2) for id_ in RIG})
+    write_labels(tmp_path / "one", [labelled])
+    assets = {"labels": tmp_path / "one"}
+    evaluate.run(job.context("evaluate", site_of(RIG), assets=assets), EvaluateConfig())
+    assert seen == {INSTANTS[17]}
+    figures = job.read(catalogue.METRICS).finetuned
+    assert figures is not None and figures.matched == 2 * len(RIG)
+
+
+def test_what_is_too_weak_to_be_tracked_is_kept_for_the_evaluation(job: Job, monkeypatch: pytest.MonkeyPatch) -> None:
+    asked: list[float] = []
+
+    def one_weak(network: Any, frames: Iterable[Frame], *, min_score: float, **options: Any) -> Iterator[Vehicles3D]:
+        asked.append(min_score)
+        for found in oracle(network, frames, min_score=min_score, **options):
+            yield replace(found, scores=np.array([0.9, 0.2]))
+
+    monkeypatch.setattr(OnnxNetwork, "predict_each", each(one_weak))
+    job.evaluate()
+    assert set(asked) == {0.1}
+    assert all(len(found) == 2 for found in job.read(catalogue.PREDICTIONS_FINETUNED))
+    assert track.run(job.context("track", site_of(RIG)), TrackConfig())["tracks"] == 1
+    job.predict(min_score=0.05)
+    assert asked[-1] == 0.05

@@ -33,7 +33,10 @@ def test_the_same_inputs_give_the_same_addresses() -> None:
 
 
 def test_an_option_changes_its_stage_and_all_after_it_alone() -> None:
-    assert changed(finetune={"steps": 17}) == {"finetune", "evaluate", "track", "safety", "report"}
+    assert changed(finetune={"steps": 17}) == {"finetune", "predict", "evaluate", "track", "safety", "report"}
+    assert changed(track={"rate_hz": 5.0}) == {"predict", "evaluate", "track", "safety", "report"}
+    assert changed(track={"gate_m": 3.0}) == {"track", "safety", "report"}
+    assert changed(evaluate={"min_score": 0.3}) == {"evaluate", "report"}
     assert changed(safety={"ttc_s": 2.5}) == {"safety", "report"}
     assert changed(sync={"method": "none"}) == set(STAGES) - {"preflight", "calibrate"}
 
