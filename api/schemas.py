@@ -7,11 +7,13 @@ from typing import Annotated, Literal
 
 from pydantic import BaseModel, ConfigDict, Field, JsonValue
 
+from wibam_core.adapters.machine import this_machine
 from wibam_core.adapters.results import ResultFile
 from wibam_core.config import PipelineConfig
+from wibam_core.costs import Pace
 from wibam_core.documents.recordings import VideoInfo
 from wibam_core.documents.warnings import StageWarning
-from wibam_core.jobs.estimate import job_fraction, remaining_s, stage_remaining_s
+from wibam_core.jobs.estimate import job_fraction, pace_of, remaining_s, stage_remaining_s
 from wibam_core.jobs.records import Event, Job, SiteRecord, StageRun, StoredFile
 from wibam_core.jobs.states import JobState, StageState
 from wibam_core.site import Site
@@ -160,7 +162,7 @@ class StageOut(BaseModel):
     remaining_s: float | None = Field(description="how long it will still take once it runs, where enough is known")
 
     @classmethod
-    def of(cls, stage: StageRun, typical_s: dict[str, float], now: float) -> StageOut:
+    def of(cls, stage: StageRun, pace: Pace, now: float) -> StageOut:
         both = stage.started_at is not None and stage.finished_at is not None
         return cls(
             name=stage.name,
@@ -178,7 +180,7 @@ class StageOut(BaseModel):
             started_at=_time_or_none(stage.started_at),
             finished_at=_time_or_none(stage.finished_at),
             seconds=(stage.finished_at or 0.0) - (stage.started_at or 0.0) if both else None,
-            remaining_s=stage_remaining_s(stage, typical_s, now),
+            remaining_s=stage_remaining_s(stage, pace, now),
         )
 
 
@@ -191,7 +193,7 @@ class JobOut(BaseModel):
     name: str = Field(description="what its user calls it; may be empty")
     state: JobState
     is_terminal: bool = Field(description="nothing happens any more unless the job is restarted")
-    fraction: float = Field(ge=0, le=1, description="done, weighted by how long stages usually take")
+    fraction: float = Field(ge=0, le=1, description="done, weighted by how long stages are expected to take")
     remaining_s: float | None = Field(description="how long it will still take, where enough is known")
     options: dict[str, dict[str, JsonValue]]
     files: list[RecordingOut]
@@ -203,7 +205,8 @@ class JobOut(BaseModel):
     finished_at: datetime | None
 
     @classmethod
-    def of(cls, job: Job, typical_s: dict[str, float], now: float) -> JobOut:
+    def of(cls, job: Job, now: float) -> JobOut:
+        pace = pace_of(job, this_machine())
         return cls(
             id=job.id,
             site_id=job.site_id,
@@ -211,11 +214,11 @@ class JobOut(BaseModel):
             name=job.name,
             state=job.state,
             is_terminal=job.state.is_terminal,
-            fraction=job_fraction(job, typical_s),
-            remaining_s=remaining_s(job, typical_s, now),
+            fraction=job_fraction(job, pace),
+            remaining_s=remaining_s(job, pace, now),
             options=dict(job.options),
             files=[RecordingOut.of(file) for file in job.files],
-            stages=[StageOut.of(stage, typical_s, now) for stage in job.stages],
+            stages=[StageOut.of(stage, pace, now) for stage in job.stages],
             error=None if job.error is None else ErrorOut.model_validate(job.error),
             restarts=job.restarts,
             created_at=_time(job.created_at),

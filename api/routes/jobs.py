@@ -82,19 +82,19 @@ def list_jobs(
     after: Annotated[str | None, Query(description="id of the last job of the page before")] = None,
 ) -> list[JobOut]:
     """The newest first."""
-    typical, now = services.jobs.typical_seconds(), time.time()
+    now = time.time()
     found = services.jobs.jobs(site, limit, states=state or (), text=text, after=after)
-    return [JobOut.of(job, typical, now) for job in found]
+    return [JobOut.of(job, now) for job in found]
 
 
 @router.get("/jobs/{job_id}", summary="Look at a job", responses=documented(404))
 def get(job_id: str, services: ServicesDep) -> JobOut:
-    return _out(services, services.jobs.job(job_id))
+    return _out(services.jobs.job(job_id))
 
 
 @router.patch("/jobs/{job_id}", summary="Rename a job", responses=documented(404, 422))
 def rename(job_id: str, body: JobChangeIn, services: ServicesDep) -> JobOut:
-    return _out(services, services.jobs.rename(job_id, body.name))
+    return _out(services.jobs.rename(job_id, body.name))
 
 
 @router.post("/jobs/{job_id}/share-link", summary="Share a job", responses=documented(404, 422))
@@ -109,7 +109,7 @@ def share_link(job_id: str, body: ShareLinkIn, services: ServicesDep) -> ShareLi
 @router.post("/jobs/{job_id}/cancel", status_code=202, summary="Cancel a job", responses=documented(404))
 def cancel(job_id: str, services: ServicesDep) -> JobOut:
     """A running stage is stopped within seconds. A job that has ended stays as it is."""
-    return _out(services, services.jobs.cancel(job_id))
+    return _out(services.jobs.cancel(job_id))
 
 
 @router.post("/jobs/{job_id}/restart", status_code=202, summary="Restart a job", responses=documented(404, 409, 422))
@@ -195,15 +195,15 @@ async def events(
         await asyncio.sleep(_LOOK_EVERY_S)
 
 
-def _out(services: Services, job: Job) -> JobOut:
-    return JobOut.of(job, services.jobs.typical_seconds(), time.time())
+def _out(job: Job) -> JobOut:
+    return JobOut.of(job, time.time())
 
 
 def _begun(services: Services, job: Job, due: Sequence[StageKey]) -> JobOut:
     """Settle at once what needs no work, and leave the rest to the workers."""
     to_do = services.reuse.settle(due)
     services.queue.dispatch(to_do)
-    return _out(services, job if to_do == list(due) else services.jobs.job(job.id))
+    return _out(job if to_do == list(due) else services.jobs.job(job.id))
 
 
 def _planned(services: Services, plan: Sequence[PlannedStage]) -> list[PlannedStageOut]:

@@ -278,7 +278,7 @@ def evaluate(job_id: str, body: EvaluateIn, services: ServicesDep) -> JobOut:
     options = dict(job.options)
     job, ready = services.jobs.restart(job_id, options, plan_stages(job.site, options, files), files=files)
     services.queue.dispatch(services.reuse.settle(ready))
-    return JobOut.of(job, services.jobs.typical_seconds(), datetime.now(UTC).timestamp())
+    return JobOut.of(job, datetime.now(UTC).timestamp())
 
 
 def _set(job: Job, name: str) -> LabelSet:

@@ -6,7 +6,7 @@ import time
 from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from typing import Any
 
-from sqlalchemy import delete, func, or_, select
+from sqlalchemy import delete, or_, select
 from sqlalchemy.orm import Session
 
 from wibam_core.adapters import records
@@ -31,7 +31,6 @@ from wibam_core.jobs.states import JobState, StageState
 from wibam_core.stages.graph import PlannedStage
 
 _TERMINAL = [state.value for state in JobState if state.is_terminal]
-_TYPICAL_OF = 200  # so many latest runs tell how long a stage usually takes
 
 
 class JobStore:
@@ -285,19 +284,6 @@ class JobStore:
             ).all()
             last = rows[-1].sequence if rows else after
             return [records.event(event) for event in rows], row.state in _TERMINAL and last >= row.last_event
-
-    def typical_seconds(self) -> dict[str, float]:
-        """Stage name -> how long it took on average, lately."""
-        latest = (
-            select(StageRow.name, (StageRow.finished_at - StageRow.started_at).label("seconds"))
-            .where(StageRow.state == StageState.SUCCEEDED.value)
-            .order_by(StageRow.finished_at.desc())
-            .limit(_TYPICAL_OF)
-            .subquery()
-        )
-        with self._database.reading() as session:
-            rows = session.execute(select(latest.c.name, func.avg(latest.c.seconds)).group_by(latest.c.name))
-            return {name: float(seconds) for name, seconds in rows}
 
 
 def _fresh_stage(job_id: str, position: int, planned: PlannedStage) -> StageRow:

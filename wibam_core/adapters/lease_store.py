@@ -12,11 +12,22 @@ from sqlalchemy.orm import Session
 
 from wibam_core.adapters import records
 from wibam_core.adapters.database import Database
-from wibam_core.adapters.job_rows import StageKey, add_event, job_files, move_job, move_stage, settle_job, thin_progress
+from wibam_core.adapters.job_rows import (
+    StageKey,
+    add_event,
+    job_files,
+    job_record,
+    move_job,
+    move_stage,
+    settle_job,
+    thin_progress,
+)
+from wibam_core.adapters.machine import this_machine
 from wibam_core.adapters.models import JobRow, StageRow
 from wibam_core.adapters.naming import in_users_words
 from wibam_core.documents.warnings import StageWarning
 from wibam_core.errors import StageCrashed, WibamError
+from wibam_core.jobs.estimate import pace_of, remaining_s
 from wibam_core.jobs.leases import Claim, Heartbeat, LeasePolicy
 from wibam_core.jobs.records import EventKind
 from wibam_core.jobs.states import JobState, StageState
@@ -139,15 +150,19 @@ class LeaseStore:
             stage.fraction = min(max(fraction, 0.0), 1.0)
             stage.message = records.plain_text(message)[:500]
             stage.figures = records.plain_json(dict(figures)) or None
+            now = self._now()
+            session.flush()
+            whole = job_record(session, job)
             add_event(
                 session,
                 job,
                 EventKind.PROGRESS,
-                self._now(),
+                now,
                 stage=stage.name,
                 fraction=stage.fraction,
                 message=stage.message,
                 figures=stage.figures or {},
+                job_remaining_s=remaining_s(whole, pace_of(whole, this_machine()), now),
             )
 
     def succeed(

@@ -85,6 +85,7 @@ class StageDisplay:
             disable=not console.is_terminal,
         )
         self._lines: dict[str, _Line] = {}
+        self._whole: TaskID | None = None
 
     def __enter__(self) -> StageDisplay:
         self._progress.start()
@@ -93,6 +94,7 @@ class StageDisplay:
                 spec.title, total=1.0, start=False, mark=_MARKS["pending"], message="", left=""
             )
             self._lines[name] = _Line(task)
+        self._whole = self._progress.add_task("In all", total=1.0, start=True, mark=" ", message="", left="")
         return self
 
     def __exit__(
@@ -110,10 +112,12 @@ class StageDisplay:
         seconds: float | None = None,
         warnings: Sequence[StageWarning] = (),
         remaining_s: float | None = None,
+        job_remaining_s: float | None = None,
     ) -> None:
         """Show a stage's state ("pending", "running", "given", "succeeded", "reused", ...).
 
-        Its warnings are printed above the lines, once, when it ends.
+        Its warnings are printed above the lines, once, when it ends. What is known of how long the stage, and all of
+        them, will still take (s) stands beside.
         """
         line = self._lines[stage]
         if state == "running" and line.state != "running":
@@ -127,6 +131,13 @@ class StageDisplay:
             message=shown,
             left="" if ended or remaining_s is None else f"{time_left(remaining_s)} left",
         )
+        if self._whole is not None and job_remaining_s is not None:
+            spent_s = self._progress.tasks[self._whole].elapsed or 0.0
+            self._progress.update(
+                self._whole,
+                completed=spent_s / max(spent_s + job_remaining_s, 1e-9),
+                left=f"{time_left(job_remaining_s)} left",
+            )
         if ended and line.state != state:
             self._progress.stop_task(line.task)
             if not self._console.is_terminal:

@@ -12,6 +12,7 @@ from rich.markup import escape
 
 from wibam_core.artifacts.catalogue import made_by
 from wibam_core.cli.display import StageDisplay
+from wibam_core.cli.foretell import foretold, print_foretold
 from wibam_core.config import PipelineConfig
 from wibam_core.errors import InvalidOption
 from wibam_core.stages.graph import STAGES, downstream, plan
@@ -69,6 +70,9 @@ def run(
     for stage in planned:
         if stage.name in again:
             store.remove(stage.name, stage.hash)
+    to_make = [stage.name for stage in planned if folder.made(stage, store) is None]
+    expected = foretold(folder, config)
+    print_foretold(console, expected, to_make, until)
     with StageDisplay(console) as display:
 
         def show(update: StageUpdate) -> None:
@@ -81,9 +85,10 @@ def run(
                 update.seconds,
                 update.warnings,
                 update.remaining_s,
+                update.job_remaining_s,
             )
 
-        result = run_pipeline(folder, store, config, show, until=until)
+        result = run_pipeline(folder, store, config, show, until=until, expected_s=expected)
     if "report" in result.summaries:
         from wibam_core.cli.tables import print_results
 

@@ -52,6 +52,7 @@ class JobDisplay:
             self._display.update(
                 stage.name, state, stage.fraction, stage.message if running else "", figures if running else None,
                 stage.seconds, stage.warnings, stage.remaining_s if running else None,
+                job.remaining_s if running else None,
             )  # fmt: skip
 
 

@@ -1,54 +1,80 @@
-"""How long a job will still take."""
+"""How much of a job is done, and how long it will still take."""
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
-
+from wibam_core.config import PipelineConfig
+from wibam_core.costs import Footage, Machine, Pace, expected_s
+from wibam_core.errors import WibamError
 from wibam_core.jobs.records import Job, StageRun
 from wibam_core.jobs.states import StageState
-from wibam_core.progress import remaining_s as at_this_pace_s
+
+#: Frames a second of a recording whose frames nobody has counted.
+_USUAL_FPS = 25
 
 
-def remaining_s(job: Job, typical_s: Mapping[str, float], now: float) -> float | None:
+def pace_of(job: Job, machine: Machine) -> Pace:
+    """What the stages that a job makes are expected to take, and what those took that have ended.
+
+    Nothing is expected before the recordings were looked at.
+    """
+    made = [stage for stage in job.stages if stage.state is not StageState.REUSED]
+    expected = _expected_s(job, machine)
+    return Pace(
+        {stage.name: expected[stage.name] for stage in made if stage.name in expected},
+        {
+            stage.name: stage.finished_at - stage.started_at
+            for stage in made
+            if stage.state is StageState.SUCCEEDED and stage.started_at is not None and stage.finished_at is not None
+        },
+    )
+
+
+def remaining_s(job: Job, pace: Pace, now: float) -> float | None:
     """Seconds until the job is done, or None while too little is known.
 
     Args:
         job: as it stands.
-        typical_s: stage name -> how long it usually takes.
+        pace: of the job.
         now: Unix seconds.
     """
     if job.state.is_terminal:
         return None
-    return _total(stage_remaining_s(stage, typical_s, now) for stage in job.stages)
+    total = 0.0
+    for stage in job.stages:
+        left_s = stage_remaining_s(stage, pace, now)
+        if left_s is None:
+            return None
+        total += left_s
+    return total
 
 
-def job_fraction(job: Job, typical_s: Mapping[str, float]) -> float:
-    """How much of the job is done, in [0, 1]: stages weighted by how long they usually take, else equally."""
-    known = [typical_s[stage.name] for stage in job.stages if stage.name in typical_s]
+def job_fraction(job: Job, pace: Pace) -> float:
+    """How much of the job is done, in [0, 1]: stages weighted by how long they are expected to take, else equally."""
+    known = [pace.expected_s[stage.name] for stage in job.stages if stage.name in pace.expected_s]
     usual = sum(known) / len(known) if known else 1.0
-    weights = [max(typical_s.get(stage.name, usual), 1e-3) for stage in job.stages]
+    weights = [max(pace.expected_s.get(stage.name, usual), 1e-3) for stage in job.stages]
     done = [1.0 if stage.state.has_outputs else stage.fraction for stage in job.stages]
     return sum(w * d for w, d in zip(weights, done, strict=True)) / sum(weights) if weights else 0.0
 
 
-def stage_remaining_s(stage: StageRun, typical_s: Mapping[str, float], now: float) -> float | None:
+def stage_remaining_s(stage: StageRun, pace: Pace, now: float) -> float | None:
     """Seconds until one stage is done once it runs; see `remaining_s`."""
     if stage.state.is_terminal:
         return 0.0
-    typical = typical_s.get(stage.name)
-    if stage.state is not StageState.RUNNING or stage.started_at is None:
-        return typical
-    elapsed = now - stage.started_at
-    left_s = at_this_pace_s(elapsed, stage.fraction)
-    if left_s is not None or typical is None:
-        return left_s
-    return max(typical - elapsed, 0.0)
+    running = stage.state is StageState.RUNNING and stage.started_at is not None
+    elapsed_s = now - stage.started_at if running and stage.started_at is not None else 0.0
+    return pace.stage_left_s(stage.name, elapsed_s, stage.fraction if running else 0.0)
 
 
-def _total(parts: Iterable[float | None]) -> float | None:
-    total = 0.0
-    for seconds in parts:
-        if seconds is None:
-            return None
-        total += seconds
-    return total
+def _expected_s(job: Job, machine: Machine) -> dict[str, float]:
+    preflight = job.stage("preflight")
+    said = {} if preflight is None else preflight.summary or {}
+    if "shortest_s" not in said:
+        return {}
+    try:
+        config = PipelineConfig.parse(job.options)
+    except WibamError:  # another version made the job
+        return {}
+    seconds = float(said["shortest_s"])
+    frames = int(said.get("frames", _USUAL_FPS * seconds * len(job.site.cameras)))
+    return expected_s(Footage.of(job.site, config, seconds, frames), config, machine)

@@ -66,6 +66,7 @@ def run(context: StageContext, config: PreflightConfig) -> Summary:
         },
         **labelled,
         "shortest_s": min(info.duration_s for info in infos.values()),
+        "frames": sum(info.frames for info in infos.values()),
     }
 
 

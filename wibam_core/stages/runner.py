@@ -12,9 +12,10 @@ from typing import Any
 
 from wibam_core.artifacts.access import ArtifactReader
 from wibam_core.config import PipelineConfig
+from wibam_core.costs import Pace
 from wibam_core.documents.warnings import StageWarning
 from wibam_core.errors import MissingCamera, NotFound, WibamError
-from wibam_core.progress import Progress, remaining_s
+from wibam_core.progress import Progress
 from wibam_core.site import Site
 from wibam_core.stages import recording_files
 from wibam_core.stages.assets import ASSETS
@@ -86,7 +87,7 @@ class StageUpdate:
     """How a stage is doing. ``state`` is "running", "given", "reused", "succeeded" or "failed".
 
     The last update of a stage has its warnings, those of one that failed, too. ``remaining_s`` is how long
-    a running stage will still take, where enough is known.
+    a running stage will still take, and ``job_remaining_s`` how long that and all after it, where enough is known.
     """
 
     stage: str
@@ -98,6 +99,7 @@ class StageUpdate:
     seconds: float = 0.0
     warnings: Sequence[StageWarning] = ()
     remaining_s: float | None = None
+    job_remaining_s: float | None = None
 
 
 @dataclass(frozen=True)
@@ -109,15 +111,18 @@ class PipelineResult:
     seconds: Mapping[str, float]
 
 
-def _progress_of(stage: str, listener: Callable[[StageUpdate], None]) -> Progress:
+def _progress_of(stage: str, pace: Pace, following: Sequence[str], listener: Callable[[StageUpdate], None]) -> Progress:
+    """What a stage reports to; ``following`` are those that are to be made after it."""
     started = time.monotonic()
 
     def report(fraction: float, message: str = "", **figures: float) -> None:
         nonlocal started
         if fraction <= 0.0:  # what it has waited for others before says nothing of its pace
             started = time.monotonic()
-        left_s = remaining_s(time.monotonic() - started, fraction)
-        listener(StageUpdate(stage, "running", fraction, message, figures, remaining_s=left_s))
+        left_s = pace.stage_left_s(stage, time.monotonic() - started, fraction)
+        parts = [left_s, *map(pace.stage_left_s, following)]
+        job_s = None if any(part is None for part in parts) else sum(part for part in parts if part is not None)
+        listener(StageUpdate(stage, "running", fraction, message, figures, remaining_s=left_s, job_remaining_s=job_s))
 
     return report
 
@@ -129,8 +134,18 @@ def run_pipeline(
     listener: Callable[[StageUpdate], None] = lambda update: None,
     *,
     until: str | None = None,
+    expected_s: Mapping[str, float] = MappingProxyType({}),
 ) -> PipelineResult:
     """Run every stage that the store does not hold yet, in order, up to and with ``until``.
+
+    Args:
+        folder: the site.
+        store: where outputs are, and go.
+        config: all options.
+        listener: told how it goes.
+        until: the last stage to run; None: all.
+        expected_s: stage -> how long it is expected to take, see `wibam_core.costs`; says how long all will
+            still take.
 
     Raises:
         InputError: the options ask for a file that the folder lacks.
@@ -144,9 +159,14 @@ def run_pipeline(
     store.remember({planned.name: planned.hash for planned in stages})
     if "finetune" not in folder.given:
         _check_device(stages, store, config, until)
-    for planned in stages:
+    wanted = stages if until is None else stages[: 1 + [planned.name for planned in stages].index(until)]
+    to_make = [planned.name for planned in wanted if folder.made(planned, store) is None]
+    expected = {name: expected_s[name] for name in to_make if name in expected_s}
+    for planned in wanted:
         name = planned.name
-        report = _progress_of(name, listener)
+        pace = Pace(expected, {made: seconds[made] for made in to_make if made in seconds})
+        following = to_make[to_make.index(name) + 1 :] if name in to_make else []
+        report = _progress_of(name, pace, following, listener)
         found = folder.made(planned, store)
         state = "given" if name in folder.given else "reused"
         if found is None:
@@ -162,8 +182,6 @@ def run_pipeline(
                 name, state, 1.0, summary=manifest.summary, seconds=manifest.seconds, warnings=manifest.warnings
             )
         )
-        if name == until:
-            break
     return PipelineResult(ArtifactReader(folders), summaries, seconds)
 
 

@@ -19,7 +19,13 @@ class TestEvents:
         assert [event.sequence for event in events] == list(range(1, len(events) + 1))
         assert not complete
         assert events[-1].kind is EventKind.PROGRESS
-        assert events[-1].data == {"stage": "a", "fraction": 0.5, "message": "half", "figures": {"loss": 1.5}}
+        assert events[-1].data == {
+            "stage": "a",
+            "fraction": 0.5,
+            "message": "half",
+            "figures": {"loss": 1.5},
+            "job_remaining_s": None,
+        }
         world.leases.fail(claim, StageCrashed("x"))
         later, complete = world.jobs.events(job.id, after=events[-1].sequence)
         assert later[0].sequence == events[-1].sequence + 1

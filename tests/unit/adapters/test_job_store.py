@@ -368,12 +368,3 @@ class TestQueries:
             world.sites.complete_upload(upload, suffix="", sha256="0" * 64)
         assert self.queries(world, world.sites.sites, 4) == one[0] == 1
         assert self.queries(world, lambda: world.sites.files(world.site.id), 4) == one[1] == 2
-
-
-def test_typical_times_come_from_stages_that_ran(world: World) -> None:
-    job = world.job()
-    claim = world.claim(job, "a")
-    world.time += 8.0
-    world.leases.heartbeat(claim)
-    world.leases.succeed(claim, {}, lambda: None)
-    assert world.jobs.typical_seconds() == {"a": pytest.approx(8.0)}
