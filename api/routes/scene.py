@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Annotated
+from typing import Annotated, Any
 
 import numpy as np
 from fastapi import APIRouter, Header, Query, Response
@@ -12,6 +12,7 @@ from api.parameters import ONLY_KNOWN_PARAMETERS
 from api.problems import documented
 from api.services import ServicesDep
 from wibam_core.artifacts import catalogue
+from wibam_core.artifacts.artifact import Artifact
 from wibam_core.errors import InputError, NotFound
 from wibam_core.formats.framestore import FrameStore
 from wibam_core.geometry.camera import Camera
@@ -92,10 +93,10 @@ def scene_camera(camera_id: str, camera: Camera, stored: tuple[int, int] | None)
 
 @router.get("/scene", summary="Cameras and classes, for drawing")
 def scene(job_id: str, services: ServicesDep) -> SceneOut:
-    """As the job calibrated the cameras."""
+    """As the job uses the cameras; before that is known, as it calibrated them."""
     job = services.jobs.job(job_id)
-    rig = services.results.read(job, catalogue.RIG)
-    store = services.results.frames(job) if _has_frames(job) else None
+    rig = services.results.read(job, catalogue.RIG if _has(job, catalogue.RIG) else catalogue.CALIBRATED_RIG)
+    store = services.results.frames(job) if _has(job, catalogue.FRAMES) else None
     stored = {} if store is None else {camera_id: store.size(camera_id) for camera_id in store.camera_ids}
     return SceneOut(
         name=job.site.name,
@@ -183,6 +184,6 @@ def _jpeg(store: FrameStore, camera_id: str, time_ns: int, width_px: int | None)
     return data.tobytes()
 
 
-def _has_frames(job: Job) -> bool:
-    stage = job.stage(catalogue.FRAMES.stage)
+def _has(job: Job, artifact: Artifact[Any]) -> bool:
+    stage = job.stage(artifact.stage)
     return stage is not None and stage.state.has_outputs

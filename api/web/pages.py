@@ -176,6 +176,11 @@ def job(job_id: Id, read_only: ReadOnly) -> HTMLResponse:
     return page("job", read_only=read_only, job=job_id)
 
 
+@router.get("/jobs/{job_id}/preflight")
+def preflight(job_id: Id, read_only: ReadOnly) -> HTMLResponse:
+    return page("preflight", read_only=read_only, job=job_id)
+
+
 @router.get("/jobs/{job_id}/results")
 def results(job_id: Id, read_only: ReadOnly) -> HTMLResponse:
     return page("results", read_only=read_only, job=job_id)

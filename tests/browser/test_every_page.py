@@ -15,6 +15,7 @@ PAGES = {
     "sign-in": lambda site, job: "/sign-in",
     "jobs": lambda site, job: "/jobs",
     "job": lambda site, job: f"/jobs/{job}",
+    "preflight": lambda site, job: f"/jobs/{job}/preflight",
     "results": lambda site, job: f"/jobs/{job}/results",
     "player": lambda site, job: f"/jobs/{job}/player",
     "conflicts": lambda site, job: f"/jobs/{job}/conflicts",

@@ -40,6 +40,8 @@ _CONFLICT_NS = 1_000_000_000
 #: A clip of nothing but instants far apart still names a rate.
 _LEAST_FPS = 1.0
 _MOSAIC_CELL_PX = 2
+#: A view that is wider than this has thicker lines.
+_WIDE_PX = 800
 _PAPER: Bgr = (250, 248, 246)
 _DARK: Bgr = (29, 24, 20)
 
@@ -235,7 +237,8 @@ class ClipRenderer:
             exposed_ns, frame = found
             image = np.asarray(cv2.resize(frame, (panel.width_px, panel.height_px), interpolation=cv2.INTER_AREA))
             if self._spec.boxes and len(drawn.boxes):
-                image = draw_boxes(image, self._rig[camera_id], drawn.boxes_at(exposed_ns), drawn.line_colours)
+                boxes, width = drawn.boxes_at(exposed_ns), 2 if panel.width_px > _WIDE_PX else 1
+                image = draw_boxes(image, self._rig[camera_id], boxes, drawn.line_colours, thickness_px=width)
         label(image, camera_id)
         return image
 

@@ -117,6 +117,8 @@ def _tint(image: Image, camera: Camera, face_cam: Array, colour_bgr: Bgr) -> Non
     low = np.clip(np.floor(uv.min(axis=0)).astype(int), 0, None)
     high = np.ceil(uv.max(axis=0)).astype(int) + 1
     around = image[low[1] : max(high[1], low[1]), low[0] : max(high[0], low[0])]
+    if not around.size:
+        return
     mask = np.zeros(around.shape[:2], np.uint8)
     cv2.fillPoly(mask, [_fixed_point(uv - low)], 1, lineType=cv2.LINE_8, shift=_SUBPIXEL_BITS)
     inside = mask.astype(bool)

@@ -104,3 +104,18 @@ def test_boxes_fit_images_of_another_size():
     rows, columns = np.nonzero(draw_boxes(small, CAMERA, box, RED, thickness_px=1).any(axis=2))
     limits = project_boxes(CAMERA.resized(320, 180), np.array(box))[0]
     np.testing.assert_allclose([columns.min(), rows.min(), columns.max(), rows.max()], limits, atol=2)
+
+
+@pytest.mark.parametrize("x", np.arange(-60.0, 61.0, 2.0))
+def test_a_box_may_leave_the_picture_on_any_side(x: float) -> None:
+    boxes = [[x, y, 0.75, 4.4, 1.8, 1.5, yaw] for y in (-20.0, -10.0, -5.0, 20.0) for yaw in (0.0, 2.0)]
+    draw_boxes(blank(), CAMERA, boxes, RED)
+
+
+def test_each_box_may_have_its_colour() -> None:
+    boxes = [[0.0, 0.0, 0.75, 4.4, 1.8, 1.5, 0.0], [6.0, 0.0, 0.75, 4.4, 1.8, 1.5, 0.0]]
+    both = draw_boxes(blank(), CAMERA, boxes, [RED, (0, 255, 0)], mark_front=False)
+    for box, colour, channel in ((boxes[0], RED, 2), (boxes[1], (0, 255, 0), 1)):
+        alone = draw_boxes(blank(), CAMERA, [box], colour, mark_front=False)
+        drawn = alone[..., channel] == 255
+        assert drawn.any() and (both[..., channel][drawn] > 100).mean() > 0.9
