@@ -61,7 +61,7 @@ class _Calibration(_Model):
     picture_px: tuple[int, int] | None = None
 
 
-class _Intrinsics(_Calibration):
+class GivenIntrinsics(_Calibration):
     """K and the lens. ``dist`` is in OpenCV's order for this lens, ``xi`` that of an omnidirectional one."""
 
     K: tuple[Row3, Row3, Row3]
@@ -70,7 +70,7 @@ class _Intrinsics(_Calibration):
     xi: float = Field(default=0.0, ge=0, le=10)
 
 
-class MatrixCalibration(_Intrinsics):
+class MatrixCalibration(GivenIntrinsics):
     """Ready matrices. ``rvec`` and ``tvec`` are OpenCV's (world to camera, m)."""
 
     kind: Literal["matrices"] = "matrices"
@@ -78,7 +78,7 @@ class MatrixCalibration(_Intrinsics):
     tvec: Row3
 
 
-class PnPCalibration(_Intrinsics):
+class PnPCalibration(GivenIntrinsics):
     """Known intrinsics; the pose is solved by perspective-n-point."""
 
     kind: Literal["pnp"] = "pnp"
@@ -92,7 +92,16 @@ class HomographyCalibration(_Calibration):
     correspondences: Correspondences
 
 
-Calibration = Annotated[MatrixCalibration | PnPCalibration | HomographyCalibration, Field(discriminator="kind")]
+class PointsCalibration(_Calibration):
+    """Points on the road and above it: focal length, k1 and pose follow from them (square pixels)."""
+
+    kind: Literal["points"] = "points"
+    correspondences: Correspondences
+
+
+Calibration = Annotated[
+    MatrixCalibration | PnPCalibration | HomographyCalibration | PointsCalibration, Field(discriminator="kind")
+]
 
 
 class ViewDirection(_Model):
@@ -133,7 +142,7 @@ class SiteCamera(_Model):
     @property
     def is_wide(self) -> bool:
         """Whether its lens is no pinhole."""
-        return not isinstance(self.calibration, HomographyCalibration) and self.calibration.lens != "pinhole"
+        return isinstance(self.calibration, GivenIntrinsics) and self.calibration.lens != "pinhole"
 
 
 class Origin(_Model):
@@ -181,7 +190,7 @@ class Site(_Model):
         for camera in self.cameras:
             _check_recordings(camera)
             _check_picture(camera)
-            if not isinstance(camera.calibration, HomographyCalibration):
+            if isinstance(camera.calibration, GivenIntrinsics):
                 _check_focal_length(camera.id, camera.calibration.K)
             if camera.views and not camera.is_wide:
                 raise SiteFileError(

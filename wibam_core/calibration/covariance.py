@@ -5,11 +5,12 @@ projected points by the unknowns (Hartley & Zisserman, Multiple View Geometry, 2
 the clicks is estimated from the residuals, by ν numbers more than there are unknowns; for that reason the errors follow
 Student's t distribution with ν degrees of freedom, whose variance is ν / (ν − 2) times as large.
 
-Where the focal length was solved, too, so was the principal point, against a cost Λ of leaving the middle. With
-A = JᵀJ + Λ the errors then have two sources, clicks and the true principal point about the middle, and the covariance
-is A⁻¹ (σ² JᵀJ + c² Λ) A⁻¹, where c is what one standard deviation of the principal point costs
-(`wibam_core.calibration.homography`). Rotation and principal point then hardly tell from each other, but make up for
-each other on the ground, so that the ground is what to judge a camera by.
+Where the focal length was solved, too, so was the principal point, against a cost Λ of leaving the middle, and with
+points above the road k1, against one of leaving 0. With A = JᵀJ + Λ the errors then have two sources, clicks and what
+is truly away from the middle and from 0, and the covariance is A⁻¹ (σ² JᵀJ + c² Λ) A⁻¹, where c is what one standard
+deviation of these costs (`wibam_core.calibration.homography`, `wibam_core.calibration.unknown_lens`). Rotation and
+principal point then hardly tell from each other, but make up for each other on the ground, so that the ground is what
+to judge a camera by.
 """
 
 from __future__ import annotations
@@ -20,6 +21,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from wibam_core.calibration.homography import PRINCIPAL_POINT_COST_PX, PRINCIPAL_POINT_SD
+from wibam_core.calibration.unknown_lens import K1_COST_PX, K1_SD
 from wibam_core.geometry.camera import Camera
 
 Array = NDArray[np.float64]
@@ -33,9 +35,9 @@ class CameraCovariance:
     """The covariance of a solved camera.
 
     Attributes:
-        matrix: (6, 6), or (9, 9) where the focal length was solved, too: of the rotation (rad, about the camera's x, y
-            and z axes), the position (m, along the world's), the logarithm of the focal length and the principal point
-            (px).
+        matrix: (6, 6), or (9, 9) where the focal length was solved, too, or (10, 10) with k1: of the rotation (rad,
+            about the camera's x, y and z axes), the position (m, along the world's), the logarithm of the focal length,
+            the principal point (px) and k1.
         camera: the solution.
     """
 
@@ -57,19 +59,37 @@ class CameraCovariance:
         """Standard deviation of the focal length; None where it was given."""
         return float(self.camera.K[0, 0] * np.sqrt(self.matrix[6, 6])) if len(self.matrix) > 6 else None
 
+    @property
+    def k1_sd(self) -> float | None:
+        """Standard deviation of the first distortion coefficient; None where it was given."""
+        return float(np.sqrt(self.matrix[9, 9])) if len(self.matrix) > 9 else None
+
     def ground_sd_m(self, ground: Array) -> Array:
         """(N,) standard deviations of where the pixels of ground points (N, 3) meet the ground, both axes together."""
         return np.asarray(np.sqrt(np.trace(self.ground_covariances(ground), axis1=1, axis2=2)))
 
     def ground_covariances(self, ground: Array) -> Array:
         """(N, 2, 2) covariances of where the pixels of points (N, 3) meet the level planes that these lie in, m²."""
-        jacobian = _jacobian(self.camera, ground)[:, : len(self.matrix)].reshape(len(ground), 2, len(self.matrix))
-        by_place = -jacobian[:, :, 3:5]
-        moves = np.linalg.solve(by_place, jacobian)
+        moves = ground_moves(self.camera, ground, len(self.matrix))
         return np.asarray(np.einsum("nij,jk,nlk->nil", moves, self.matrix, moves))
 
 
-def camera_covariance(camera: Camera, world: Array, pixels: Array, *, solved_focal: bool) -> CameraCovariance | None:
+def ground_moves(camera: Camera, ground: Array, unknowns: int = 6) -> Array:
+    """(N, 2, unknowns) by how much the places where the pixels of points (N, 3) meet the level planes that these lie in
+    move with the unknowns of `CameraCovariance.matrix`."""
+    jacobian = _jacobian(camera, ground).reshape(len(ground), 2, -1)[:, :, :unknowns]
+    return np.asarray(np.linalg.solve(-jacobian[:, :, 3:5], jacobian))
+
+
+def camera_covariance(
+    camera: Camera,
+    world: Array,
+    pixels: Array,
+    *,
+    solved_focal: bool,
+    solved_k1: bool = False,
+    least_click_px: float = 0.0,
+) -> CameraCovariance | None:
     """The covariance of a camera that was solved from points by least squares.
 
     Args:
@@ -78,29 +98,35 @@ def camera_covariance(camera: Camera, world: Array, pixels: Array, *, solved_foc
         pixels: (N, 2) where they were seen.
         solved_focal: the focal length was solved with the pose, and the principal point as far as points on the ground
             tell it.
+        solved_k1: k1 was solved with these.
+        least_click_px: clicks are not believed to be better than this, whatever the residuals say.
 
     Returns:
         None where there are too few points to tell: the numbers seen are to be three more than the unknowns at least.
     """
-    freedom = pixels.size - (7 if solved_focal else 6)
+    freedom = pixels.size - (8 if solved_k1 else 7 if solved_focal else 6)
     if freedom <= 2:
         return None
     squares = float(((camera.project(world)[0] - pixels) ** 2).sum())
-    variance_px2 = squares / (freedom - 2)
+    variance_px2 = max(squares / (freedom - 2), least_click_px**2)
     jacobian = _jacobian(camera, world)
     if not solved_focal:
         _, values, axes = np.linalg.svd(jacobian[:, :6], full_matrices=False)
         return CameraCovariance((axes.T / values**2) @ axes * variance_px2, camera)
-    cost = np.zeros((2, 9))
-    cost[:, 7:] = PRINCIPAL_POINT_COST_PX / (PRINCIPAL_POINT_SD * camera.width_px) * np.eye(2)
-    solved = np.linalg.pinv(np.concatenate([jacobian, cost]))  # A⁻¹ (Jᵀ, √Λ)
-    by_clicks, by_middle = solved[:, :-2], solved[:, -2:]
-    matrix = variance_px2 * by_clicks @ by_clicks.T + PRINCIPAL_POINT_COST_PX**2 * by_middle @ by_middle.T
+    known = 3 if solved_k1 else 2
+    costs = np.array([PRINCIPAL_POINT_COST_PX, PRINCIPAL_POINT_COST_PX, K1_COST_PX])[:known]
+    sd = np.array([PRINCIPAL_POINT_SD * camera.width_px, PRINCIPAL_POINT_SD * camera.width_px, K1_SD])[:known]
+    held = np.zeros((known, 7 + known))
+    held[:, 7:] = np.diag(costs / sd)
+    solved = np.linalg.pinv(np.concatenate([jacobian[:, : 7 + known], held]))  # A⁻¹ (Jᵀ, √Λ)
+    by_clicks, by_known = solved[:, :-known], solved[:, -known:] * costs
+    matrix = variance_px2 * by_clicks @ by_clicks.T + by_known @ by_known.T
     return CameraCovariance(matrix, camera)
 
 
 def _jacobian(camera: Camera, world: Array) -> Array:
-    """(2N, 9) derivatives of the pixels of points (N, 3) by rotation, position, log focal length, principal point."""
+    """(2N, 10) derivatives of the pixels of points (N, 3) by rotation, position, log focal length, principal point, k1
+    (of a pinhole)."""
     cam = camera.to_camera(world)
     away = np.linalg.norm(cam, axis=1, keepdims=True) if camera.is_wide else cam[:, 2:3]
     by_cam = np.empty((len(cam), 2, 3))
@@ -116,4 +142,6 @@ def _jacobian(camera: Camera, world: Array) -> Array:
     by_position = -by_cam @ camera.T_cam_world.rotation
     by_log_focal = (camera.project_camera_points(cam) - camera.K[:2, 2])[:, :, None]
     by_middle = np.tile(np.eye(2), (len(cam), 1, 1))
-    return np.concatenate([by_rotation, by_position, by_log_focal, by_middle], axis=2).reshape(-1, 9)
+    plane = cam[:, :2] / away
+    by_k1 = (np.diagonal(camera.K)[:2] * plane * (plane**2).sum(axis=1, keepdims=True))[:, :, None]
+    return np.concatenate([by_rotation, by_position, by_log_focal, by_middle, by_k1], axis=2).reshape(-1, 10)

@@ -148,7 +148,7 @@ class _Pinhole:
     dist: Array
 
     def candidates(self, world: Array, pixels: Array) -> list[SE3]:
-        return _sqpnp(world, pixels, self.K, self.dist)
+        return sqpnp(world, pixels, self.K, self.dist)
 
     def polished(self, pose: SE3, world: Array, pixels: Array) -> SE3:
         rvec, tvec = pose.to_rvec_tvec()
@@ -181,7 +181,7 @@ class _Wide:
         if seen.sum() < MIN_POINTS:
             return []
         plane = ahead[seen, :2] / ahead[seen, 2:]
-        return [turn.inverse() @ pose for pose in _sqpnp(world[seen], plane, np.eye(3), np.zeros(0))]
+        return [turn.inverse() @ pose for pose in sqpnp(world[seen], plane, np.eye(3), np.zeros(0))]
 
     def polished(self, pose: SE3, world: Array, pixels: Array) -> SE3:
         def moved_by(x: Array) -> SE3:
@@ -197,7 +197,7 @@ class _Wide:
         return np.nan_to_num(np.linalg.norm(projected - pixels, axis=1), nan=np.inf)
 
 
-def _sqpnp(world: Array, pixels: Array, K: Array, dist: Array) -> list[SE3]:
+def sqpnp(world: Array, pixels: Array, K: Array, dist: Array) -> list[SE3]:
     """Poses T_cam_world of a pinhole; several where points are coplanar; none where they are degenerate."""
     try:
         count, rvecs, tvecs, _ = cv2.solvePnPGeneric(

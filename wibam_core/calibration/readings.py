@@ -16,6 +16,7 @@ from wibam_core.calibration.covariance import CameraCovariance, camera_covarianc
 from wibam_core.calibration.homography import solve_ground_camera
 from wibam_core.calibration.matrices import build_camera, size_of_intrinsics
 from wibam_core.calibration.pnp import solve_pose, solve_wide_pose
+from wibam_core.calibration.unknown_lens import LEAST_CLICK_PX, solve_unknown_lens
 from wibam_core.calibration.view import is_plausible
 from wibam_core.errors import CalibrationError
 from wibam_core.geometry.camera import Camera
@@ -45,6 +46,7 @@ class Sighting:
         K: (3, 3), or None where the focal length is to be solved from points on the ground.
         dist: (n,) in OpenCV order.
         lens_model, xi: see `Camera`.
+        solves_lens: without K, points may lie above the ground, and k1 is solved with the focal length.
     """
 
     world: Array
@@ -55,6 +57,7 @@ class Sighting:
     dist: Array
     lens_model: Lens = "pinhole"
     xi: float = 0.0
+    solves_lens: bool = False
 
     def lens(self, K: Array) -> Camera:
         """A camera with these intrinsics, at the world's origin.
@@ -71,6 +74,9 @@ class Sighting:
         Raises:
             CalibrationError: they fix none.
         """
+        if self.K is None and self.solves_lens:
+            whole = solve_unknown_lens(self.world, self.pixels, self.width_px, self.height_px)
+            return whole.camera, whole.used
         if self.K is None:
             fit = solve_ground_camera(self.world[:, :2], self.pixels, self.width_px, self.height_px)
             return fit.camera, fit.used
@@ -83,8 +89,14 @@ class Sighting:
 
     def covariance(self, camera: Camera, used: NDArray[np.bool_]) -> CameraCovariance | None:
         """Of the camera that was solved from the points (N,) in use; None where they are too few to tell."""
-        solved_focal = self.K is None
-        return camera_covariance(camera, self.world[used], self.pixels[used], solved_focal=solved_focal)
+        return camera_covariance(
+            camera,
+            self.world[used],
+            self.pixels[used],
+            solved_focal=self.K is None,
+            solved_k1=self.solves_lens,
+            least_click_px=LEAST_CLICK_PX if self.solves_lens else 0.0,
+        )
 
     def misfit_px(self, camera: Camera) -> float:
         """Mean reprojection error over all points, also those left out, each counted as `_GROSS_PX` at most."""

@@ -38,7 +38,7 @@ class Residuals:
     """What one camera's calibration rests on.
 
     Attributes:
-        kind: "matrices", "pnp" or "homography".
+        kind: "matrices", "pnp", "homography" or "points".
         camera: the result.
         world: (N, 3) surveyed points, m; none for ready matrices.
         pixels: (N, 2) where the user saw them.
@@ -112,6 +112,8 @@ class Residuals:
             position_sd_m=None if self.covariance is None else self.covariance.position_sd_m,
             rotation_sd_deg=None if self.covariance is None else self.covariance.rotation_sd_deg,
             focal_sd_px=None if self.covariance is None else self.covariance.focal_sd_px,
+            k1=float(self.camera.dist[0]) if self.kind == "points" else None,
+            k1_sd=None if self.covariance is None else self.covariance.k1_sd,
             ground_sd_m=self.ground_sd_m,
             covariance=None if self.covariance is None else self.covariance.matrix.tolist(),
             points=len(self.world),

@@ -12,6 +12,7 @@ from wibam_core.calibration.matrices import camera_from_matrices, intrinsics_cau
 from wibam_core.calibration.points import check_on_ground, check_points, level_cautions
 from wibam_core.calibration.readings import Reading, Sighting, better_reading
 from wibam_core.calibration.residuals import Residuals, fit_cautions, misfit_problem
+from wibam_core.calibration.unknown_lens import check_told
 from wibam_core.calibration.view import GROUND_RANGE_M, check_view, view_cautions, visible_ground
 from wibam_core.calibration.views import views_of_site
 from wibam_core.config import CalibrateConfig
@@ -19,7 +20,7 @@ from wibam_core.documents.warnings import Caution
 from wibam_core.errors import CalibrationError, NoOverlap
 from wibam_core.geometry.camera import Camera
 from wibam_core.scene import CameraRig
-from wibam_core.site import Correspondence, MatrixCalibration, PnPCalibration, Site, SiteCamera
+from wibam_core.site import Correspondence, MatrixCalibration, PnPCalibration, PointsCalibration, Site, SiteCamera
 
 Array = NDArray[np.float64]
 
@@ -73,6 +74,8 @@ def solve_camera(camera: SiteCamera, config: CalibrateConfig) -> Residuals:
     if isinstance(given, PnPCalibration):
         lens = np.array(given.K), np.array(given.dist), given.lens, given.xi
         sighting = Sighting(world, pixels, width_px, height_px, *lens)
+    elif isinstance(given, PointsCalibration):
+        sighting = Sighting(world, pixels, width_px, height_px, None, np.zeros(0), solves_lens=True)
     else:
         check_on_ground(world, _GROUND_TOLERANCE_M)
         sighting = Sighting(world, pixels, width_px, height_px, None, np.zeros(0))
@@ -93,13 +96,15 @@ def _solved(kind: str, sighting: Sighting, max_error_px: float) -> Residuals:
         camera, used = sighting.solve()
     except CalibrationError as error:
         raise _meant(better_reading(sighting), error) from error
+    covariance = sighting.covariance(camera, used)
+    if sighting.solves_lens:
+        check_told(float(camera.K[0, 0]), None if covariance is None else covariance.focal_sd_px)
     levels = level_cautions(sighting.world, float(camera.centre_m[2]))
     try:
         check_view(camera)
     except CalibrationError as error:
         below = camera.centre_m[2] <= 0  # as good a fit as the view from above, where all points are on the ground
         raise _meant(better_reading(sighting) if below else None, error) from error
-    covariance = sighting.covariance(camera, used)
     residuals = Residuals.of(kind, camera, sighting.world, sighting.pixels, used, covariance)
     misfit_px = sighting.misfit_px(camera)
     reading = better_reading(sighting, misfit_px) if misfit_px > _GOOD_PX else None

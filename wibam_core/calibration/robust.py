@@ -13,7 +13,7 @@ Model = TypeVar("Model")
 
 #: Fewer points than this cannot outvote a wrong one.
 MIN_POINTS = 6
-#: Random subsets of points that are tried.
+#: Random subsets of points that are tried, unless said.
 _TRIALS = 200
 #: Clicks closer than this to the fit are never taken for wrong.
 _SMALLEST_PX = 3.0
@@ -27,6 +27,7 @@ def find_inliers(
     fit: Callable[[NDArray[np.int64]], list[Model]],
     errors_px: Callable[[Model], Array],
     seed: int = 0,
+    trials: int = _TRIALS,
 ) -> NDArray[np.bool_]:
     """Which of ``count`` points agree with the model that has the smallest median error.
 
@@ -36,6 +37,7 @@ def find_inliers(
         fit: models through the points of some indices; none where they are degenerate.
         errors_px: (count,) error of every point under a model, px.
         seed: of the random subsets.
+        trials: how many of these.
 
     Returns:
         (count,) mask; all true with fewer than `MIN_POINTS` points, or where no subset gives a model.
@@ -47,7 +49,7 @@ def find_inliers(
         return everything
     rng = np.random.default_rng(seed)
     best, best_median = None, np.inf
-    for _ in range(_TRIALS):
+    for _ in range(trials):
         for model in fit(np.sort(rng.choice(count, size=sample, replace=False))):
             errors = errors_px(model)
             median = float(np.median(errors))

@@ -38,7 +38,7 @@ class CameraResiduals(Document):
     """One camera's calibration."""
 
     kind: str
-    """"matrices", "pnp" or "homography"."""
+    """"matrices", "pnp", "homography" or "points"."""
     lens: str = "pinhole"
     """"pinhole", "fisheye" or "omnidirectional"."""
     position_m: list[float]
@@ -52,11 +52,15 @@ class CameraResiduals(Document):
     """Those of the rotation about the camera's x, y and z axes (x right, y down, z forward)."""
     focal_sd_px: float | None = None
     """That of the focal length, where it was solved from the points."""
+    k1: float | None = None
+    """The first coefficient of the distortion, where it was solved from the points."""
+    k1_sd: float | None = None
+    """Its standard deviation."""
     ground_sd_m: float | None = None
     """That of places on the ground within 50 m, at the median over what the camera sees."""
     covariance: list[list[float]] | None = None
     """All of these together: of the rotation (rad), the position (m) and, where they were solved, the logarithm of the
-    focal length and the principal point (px), in this order. What was given is taken to be exact."""
+    focal length, the principal point (px) and k1, in this order. What was given is taken to be exact."""
     points: int
     rejected: int
     median_px: float | None

@@ -71,7 +71,7 @@ class CalibrationRow:
     """One camera's residuals; None where there is no measured point to compare with.
 
     Attributes:
-        kind: "matrices", "pnp" or "homography".
+        kind: "matrices", "pnp", "homography" or "points".
         points: measured ones. rejected: of them, those that the camera does not rest on.
         median_px, max_px: reprojection error. median_m: distance on the ground.
         position_sd_m: standard deviation of the position, all directions together.

@@ -16,7 +16,12 @@ from wibam_core.report.results import NETWORKS, ResultRow, compared, result_rows
 from wibam_core.report.words import NONE, braking, interval, mean_sd, number, percent, signed
 from wibam_core.safety.measures import MEASURES
 
-_KINDS = {"matrices": "ready matrices", "pnp": "points, known lens", "homography": "ground points"}
+_KINDS = {
+    "matrices": "ready matrices",
+    "pnp": "points, known lens",
+    "homography": "ground points",
+    "points": "points, lens solved",
+}
 _FARTHEST_ZONE_M = 80.0
 
 

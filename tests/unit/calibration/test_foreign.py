@@ -16,7 +16,7 @@ from wibam_core.calibration.foreign.registry import read_file
 from wibam_core.cli.app import app
 from wibam_core.errors import InputError
 from wibam_core.geometry.camera import Camera
-from wibam_core.site import HomographyCalibration, MatrixCalibration, PnPCalibration, Site
+from wibam_core.site import HomographyCalibration, MatrixCalibration, PnPCalibration, PointsCalibration, Site
 
 DIST = (-0.21, 0.06, 0.001, -0.0007)
 CAMERA = look_at((-20.0, -15.0, 8.0), focal_px=700.0, width_px=1280, height_px=720, dist=DIST)
@@ -228,6 +228,32 @@ def test_points_alone_make_a_homography_and_the_sites_first_origin(tmp_path: Pat
     found, north = camera_of(site, "north")
     assert isinstance(north.calibration, HomographyCalibration)
     assert found.origin is not None and found.origin.latitude_deg == pytest.approx(LATITUDE, abs=1e-4)
+
+
+def test_points_alone_of_which_some_are_raised_tell_the_lens_as_well(tmp_path: Path) -> None:
+    raised = np.array([[-6.0, -4.0, 3.0], [5.0, 6.0, 4.0], [7.0, -3.0, 2.5], [-3.0, 6.0, 3.5]])
+    bent = look_at((-20.0, -15.0, 8.0), focal_px=700.0, width_px=1280, height_px=720, dist=(-0.2, 0.0, 0.0, 0.0))
+    world = np.concatenate([GROUND, raised])
+    features = [
+        {
+            "type": "Feature",
+            "geometry": {"type": "Point", "coordinates": [longitude, latitude]},
+            "properties": {"pixel": pixel, "height_m": height},
+        }
+        for (longitude, latitude), pixel, height in zip(
+            on_earth(world[:, :2]).tolist(), bent.project(world)[0].tolist(), world[:, 2].tolist(), strict=True
+        )
+    ]
+    file = saved(tmp_path, "gcp.geojson", json.dumps({"type": "FeatureCollection", "features": features}))
+    site = tmp_path / "site"
+    origin_at(site)
+    told(site, "north", tumtraf_file(tmp_path))
+    document = json.loads((site / "site.json").read_text())
+    document["cameras"][1]["calibration"] = {"kind": "homography", "correspondences": []}
+    (site / "site.json").write_text(json.dumps(document))
+    assert "points, at -20." in told(site, "north", file)
+    _, north = camera_of(site, "north")
+    assert isinstance(north.calibration, PointsCalibration)
 
 
 def test_a_ready_pose_and_its_lens_are_taken_as_they_are_and_scaled_with_the_picture(tmp_path: Path) -> None:

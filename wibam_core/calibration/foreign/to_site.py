@@ -13,7 +13,16 @@ from wibam_core.calibration.foreign.base import FoundCamera, Intrinsics, Surveye
 from wibam_core.errors import InputError
 from wibam_core.exchange.earth import Earth
 from wibam_core.geometry.pixels import resized_intrinsics, scale_of
-from wibam_core.site import HomographyCalibration, MatrixCalibration, Origin, PnPCalibration, SiteCamera
+from wibam_core.site import (
+    Calibration,
+    GivenIntrinsics,
+    HomographyCalibration,
+    MatrixCalibration,
+    Origin,
+    PnPCalibration,
+    PointsCalibration,
+    SiteCamera,
+)
 
 Array = NDArray[np.float64]
 Size = tuple[int, int]
@@ -55,8 +64,8 @@ def describe(
 ) -> Described:
     """A camera of what its files say.
 
-    Points and a lens make a ``pnp``, a pose and a lens ``matrices``, points alone a ``homography``. What the files
-    leave out is taken from what the site said of the camera before.
+    Points and a lens make a ``pnp``, a pose and a lens ``matrices``, points alone a ``homography`` or, where some of
+    them are above the road, ``points``. What the files leave out is taken from what the site said of the camera before.
 
     Args:
         camera_id: its name at the site.
@@ -73,7 +82,7 @@ def describe(
     points = next((one.points for one in found if one.points is not None), None)
     posed = next((one for one in found if one.rvec is not None and one.tvec is not None), None)
     old = None if before is None else before.calibration
-    if lens is None and not isinstance(old, HomographyCalibration | None):
+    if lens is None and isinstance(old, GivenIntrinsics):
         lens = Intrinsics(np.array(old.K), np.array(old.dist), old.lens, old.xi)
         notes.append("K and the lens are those that the site had.")
     correspondences: list[dict[str, Any]] = []
@@ -83,7 +92,7 @@ def describe(
         correspondences = [
             {"world": w.tolist(), "pixel": p.tolist()} for w, p in zip(world, points.pixels, strict=True)
         ]
-    elif isinstance(old, PnPCalibration | HomographyCalibration) and posed is None:
+    elif isinstance(old, PnPCalibration | HomographyCalibration | PointsCalibration) and posed is None:
         correspondences = [one.model_dump(mode="json") for one in old.correspondences]
     intrinsics: dict[str, Any] = {}
     if lens is not None:
@@ -92,7 +101,8 @@ def describe(
         intrinsics = {"K": lens.K.tolist(), "dist": lens.dist.tolist(), "lens": lens.lens, "xi": lens.xi}
     calibration: dict[str, Any]
     if correspondences:
-        calibration = {"kind": "pnp" if intrinsics else "homography", **intrinsics, "correspondences": correspondences}
+        kind = "pnp" if intrinsics else "points" if _solves_lens(old, correspondences) else "homography"
+        calibration = {"kind": kind, **intrinsics, "correspondences": correspondences}
         if posed is not None:
             notes.append("The pose in the files is left out: it follows from the points.")
     elif posed is not None and posed.rvec is not None and posed.tvec is not None and intrinsics:
@@ -108,6 +118,11 @@ def describe(
     width, height = size_px
     entry = {"id": camera_id, "width_px": width, "height_px": height, "calibration": calibration, **kept}
     return Described(SiteCamera.model_validate(entry), origin, tuple(dict.fromkeys(notes)))
+
+
+def _solves_lens(old: Calibration | None, correspondences: Sequence[Mapping[str, Any]]) -> bool:
+    """Whether points without a lens are to tell it: some are above the road, or the site had it so."""
+    return isinstance(old, PointsCalibration) or any(one["world"][2] for one in correspondences)
 
 
 def _of_size(lens: Intrinsics, size_px: Size) -> tuple[Intrinsics, list[str]]:

@@ -54,10 +54,13 @@ export class CalibrationPanel {
     if (this.kind === "matrices") return this.matrices;
     const correspondences = this.complete().map((point) => ({ pixel: [point.u, point.v], world: [point.x, point.y, point.z] }));
     const kept = this.rest.kind === this.kind ? this.rest.rest : {};
-    if (this.kind === "homography") return { ...kept, kind: "homography", correspondences };
+    if (this.kind === "homography" || this.kind === "points") return { ...kept, kind: this.kind, correspondences };
     const { fx, fy, skew, cx, cy, dist, lens, xi } = this.lens;
     return { ...kept, kind: "pnp", K: [[fx, skew, cx], [0, fy, cy], [0, 0, 1]], dist, lens, xi: lens === "omnidirectional" ? xi : 0, correspondences };
   }
+
+  /** Fewest points that tell what is unknown. */
+  least() { return this.kind === "points" ? 6 : 4; }
 
   complete() {
     return this.points.filter((point) => [point.u, point.v, point.x, point.y, point.z].every((value) => value !== null && Number.isFinite(value)));
@@ -107,9 +110,9 @@ export class CalibrationPanel {
 
   async solve() {
     const place = byId("solution"), mine = ++this.number;
-    if (this.kind !== "matrices" && this.complete().length < 4) {
+    if (this.kind !== "matrices" && this.complete().length < this.least()) {
       this.camera = null;
-      fill(place, h("p.note", null, `${this.complete().length} of at least 4 points; 6 and more show which one is wrong.`));
+      fill(place, h("p.note", null, `${this.complete().length} of at least ${this.least()} points; ${this.least() + 2} and more show which one is wrong.`));
       this.changed();
       return;
     }
@@ -131,8 +134,9 @@ export class CalibrationPanel {
 
   /** @param {any} residuals */
   facts(residuals) {
-    const facts = [["Height", `${number(residuals.position_m[2])} m`], ["Position", `${number(residuals.position_m[0])}, ${number(residuals.position_m[1])} m`], ["Focal length", `${number(residuals.focal_px[0], 0)} px`],
+    const facts = [["Height", `${number(residuals.position_m[2])} m`], ["Position", `${number(residuals.position_m[0])}, ${number(residuals.position_m[1])} m`], ["Focal length", `${number(residuals.focal_px[0], 0)}${residuals.focal_sd_px ? ` ± ${number(residuals.focal_sd_px, 0)}` : ""} px`],
       ["Median error", residuals.median_px === null ? "–" : `${number(residuals.median_px, 1)} px`], ["Left out", residuals.rejected], ["Ground within 50 m", residuals.ground_sd_m === null ? "–" : `± ${number(residuals.ground_sd_m)} m`]];
+    if (residuals.k1 !== null) facts.push(["Distortion k1", `${number(residuals.k1, 3)}${residuals.k1_sd ? ` ± ${number(residuals.k1_sd, 3)}` : ""}`]);
     return h("dl.facts", null, facts.map(([title, value]) => h("div", null, h("dt", null, title), h("dd", null, value))));
   }
 
@@ -144,6 +148,7 @@ export class CalibrationPanel {
       fill(place, h("p.note", null, "K, dist, rvec and tvec as they were given; they are changed in the site's JSON."));
       return;
     }
+    if (this.kind === "points") { fill(place, h("p.note", null, "Six points or more, near and far, some of them raised (Z above the road): the focal length and how the lens bends follow from them.")); return; }
     if (this.kind === "homography") { fill(place, h("p.note", null, "All points lie on the road (Z = 0). The focal length follows from them; the lens must not bend lines.")); return; }
     const field = (/** @type {string} */ name) => {
       const input = h("input.number", { type: "number", step: "any", value: /** @type {any} */ (this.lens)[name] });
