@@ -18,10 +18,13 @@ from wibam_core.documents.synchronisation import SeenChange
 from wibam_core.documents.warnings import Caution
 from wibam_core.errors import InputError, NotFound
 from wibam_core.jobs.records import Purpose, StoredFile
-from wibam_core.site import SignalRegion, SiteCamera
+from wibam_core.site import Origin, RecordingName, SignalRegion, SiteCamera
 
 router = APIRouter(prefix="/v1/sites/{site_id}/recordings/{file_id}", tags=["sites"], responses=documented(401, 404))
 calibration_router = APIRouter(prefix="/v1/calibration", tags=["sites"], responses=documented(401))
+#: Characters of a calibration file over HTTP; larger ones, such as COLMAP's images of a whole survey, are for `wibam
+#: calibration`.
+_LONGEST_TEXT = 1 << 17
 Seconds = Annotated[float, Query(ge=0, le=1e7, allow_inf_nan=False, description="on the recording's own clock")]
 
 
@@ -48,6 +51,33 @@ class SolvedCameraOut(BaseModel):
     camera: SceneCameraOut
     residuals: CameraResiduals
     cautions: list[Caution] = Field(description="what is doubtful about it, and what to do")
+
+
+class CalibrationFileIn(BaseModel):
+    """A file of another program."""
+
+    name: RecordingName = Field(description="its ending is part of what tells its format")
+    text: str = Field(max_length=_LONGEST_TEXT)
+
+
+class CalibrationFilesIn(BaseModel):
+    """Files that together describe one camera."""
+
+    camera: SiteCamera = Field(description="as the site has it; says the size of its pictures")
+    files: list[CalibrationFileIn] = Field(min_length=1, max_length=8)
+    names: list[Annotated[str, Field(max_length=255)]] = Field(
+        default=[], max_length=8, description="what files with several cameras call this one, beside its id"
+    )
+    origin: Origin | None = Field(default=None, description="of the site, which points on Earth are counted from")
+
+
+class ReadCalibrationOut(BaseModel):
+    """A camera as files describe it."""
+
+    camera: SiteCamera
+    origin: Origin | None = Field(description="of the site: the given one, or one amid the points where it had none")
+    formats: list[str] = Field(description="of each file")
+    notes: list[str] = Field(description="what was taken for granted, changed or left out")
 
 
 @router.get("/header", summary="Length, rate and size of a recording", responses=documented(422, 503))
@@ -120,6 +150,27 @@ def solve(camera: SiteCamera) -> SolvedCameraOut:
         camera=scene_camera(camera.id, solved.camera, None),
         residuals=solved.document(),
         cautions=list(solved.cautions),
+    )
+
+
+@calibration_router.post("/read", summary="Read files of other programs", responses=documented(413, 422))
+def read(given: CalibrationFilesIn) -> ReadCalibrationOut:
+    """What files of other programs say of one camera, as a site has it. Nothing is kept; `solve` tells how it fits.
+
+    As `wibam calibration` does it: the parts that the files leave out are those that the site had.
+    """
+    from wibam_core.calibration.foreign.registry import read_named
+    from wibam_core.calibration.foreign.to_site import chosen, describe
+
+    found, formats = [], []
+    for file in given.files:
+        form, cameras = read_named(file.name, file.text)
+        found.append(chosen(cameras, [given.camera.id, *given.names], file.name))
+        formats.append(form)
+    size_px = given.camera.width_px, given.camera.height_px
+    described = describe(given.camera.id, found, size_px, given.camera, given.origin)
+    return ReadCalibrationOut(
+        camera=described.camera, origin=described.origin, formats=formats, notes=list(described.notes)
     )
 
 

@@ -145,6 +145,30 @@ def test_a_camera_is_calibrated_by_clicks_and_a_job_is_started(
     assert job["options"] == {"finetune": {"steps": 40}}
 
 
+def test_files_of_other_programs_are_read_into_the_page(signed_in: Visit, camera: Camera, tmp_path: Path) -> None:
+    make_site(signed_in, "files")
+    page = signed_in.page
+    page.get_by_role("link", name="Calibrate and signals").first.click()
+    page.get_by_role("heading", name="Camera north").wait_for()
+    page.get_by_text("Files of other programs").click()
+    chain = "cam0:\n  camera_model: pinhole\n  distortion_model: radtan\n  distortion_coeffs: [-0.1, 0.01, 0, 0]\n"
+    chain += "  intrinsics: [700, 700, 959.5, 539.5]\n  resolution: [1920, 1080]\n"
+    pixels, _ = camera.project(np.array(WORLD, dtype=float))
+    rows = [f"{x},{y},{3 * u + 1},{-(3 * v + 1)},1" for (x, y, _), (u, v) in zip(WORLD, pixels, strict=True)]
+    (tmp_path / "chain.yaml").write_text(chain)
+    (tmp_path / "north.points").write_text("\n".join(["mapX,mapY,pixelX,pixelY,enable", *rows]) + "\n")
+    page.locator("#calibration-files").set_input_files([tmp_path / "chain.yaml", tmp_path / "north.points"])
+    page.locator("#read-notes").get_by_text("chain.yaml: Kalibr camchain; north.points: QGIS").wait_for()
+    assert page.locator("#kind").input_value() == "pnp"
+    assert page.locator("#points tbody tr").count() == len(WORLD)
+    page.get_by_role("button", name="Save").click()
+    page.get_by_text("saved", exact=True).wait_for()
+    (tmp_path / "notes.txt").write_text("6 m high")
+    page.locator("#calibration-files").set_input_files(tmp_path / "notes.txt")
+    page.get_by_text("notes.txt is of no known calibration format").wait_for()
+    signed_in.complaints.clear()  # of the refusal
+
+
 def test_a_wrong_point_is_marked_and_bad_numbers_are_named(signed_in: Visit, camera: Camera) -> None:
     make_site(signed_in, "pasted")
     page = signed_in.page

@@ -88,3 +88,36 @@ class TestSolving:
         answer = api.http.post("/v1/calibration/solve", json=body)
         assert answer.status_code == 422
         assert answer.json()["hint"]
+
+
+class TestReading:
+    LENS = "cam0:\n  camera_model: pinhole\n  distortion_model: radtan\n  distortion_coeffs: [-0.1, 0.01, 0, 0]\n"
+    LENS += "  intrinsics: [500, 500, 319.5, 179.5]\n  resolution: [640, 360]\n"
+
+    def body(self, **changes: object) -> dict[str, object]:
+        return {"camera": TestSolving().body(), "files": [{"name": "chain.yaml", "text": self.LENS}], **changes}
+
+    def test_a_lens_joins_the_points_that_the_site_has(self, api: LiveApi) -> None:
+        answer = api.http.post("/v1/calibration/read", json=self.body()).json()
+        calibration = answer["camera"]["calibration"]
+        assert calibration["kind"] == "pnp" and calibration["K"][0] == [500.0, 0.0, 319.5]
+        assert calibration["correspondences"] == TestSolving().body()["calibration"]["correspondences"]  # type: ignore[index]
+        assert answer["formats"] == ["Kalibr camchain"]
+        assert api.http.post("/v1/calibration/solve", json=answer["camera"]).status_code == 200
+
+    @pytest.mark.parametrize(
+        ("file", "words"),
+        [
+            ({"name": "lens.yaml", "text": "nothing"}, "no known calibration format"),
+            ({"name": "bomb.yaml", "text": "a: &a [1]\nK: [*a, *a]\n"}, "no known calibration format"),
+            ({"name": "deep.json", "text": "[" * 60_000}, "deep.json"),
+        ],
+    )
+    def test_what_is_no_calibration_is_refused(self, api: LiveApi, file: dict[str, str], words: str) -> None:
+        answer = api.http.post("/v1/calibration/read", json=self.body(files=[file]))
+        assert answer.status_code == 422
+        assert words in answer.json()["detail"]
+
+    def test_a_text_that_is_too_long_is_refused(self, api: LiveApi) -> None:
+        file = {"name": "lens.yaml", "text": "x" * 200_000}
+        assert api.http.post("/v1/calibration/read", json=self.body(files=[file])).status_code == 422

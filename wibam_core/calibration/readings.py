@@ -68,14 +68,17 @@ class Sighting:
         size_px = self.width_px, self.height_px
         return build_camera(K, self.dist, SE3.identity(), *size_px, self.lens_model, self.xi)
 
-    def solve(self) -> tuple[Camera, NDArray[np.bool_]]:
+    def solve(self, *, search: bool = True) -> tuple[Camera, NDArray[np.bool_]]:
         """The camera, and which points (N,) it rests on.
+
+        Args:
+            search: for wrong points where the lens is solved, too, which takes a second.
 
         Raises:
             CalibrationError: they fix none.
         """
         if self.K is None and self.solves_lens:
-            whole = solve_unknown_lens(self.world, self.pixels, self.width_px, self.height_px)
+            whole = solve_unknown_lens(self.world, self.pixels, self.width_px, self.height_px, search=search)
             return whole.camera, whole.used
         if self.K is None:
             fit = solve_ground_camera(self.world[:, :2], self.pixels, self.width_px, self.height_px)
@@ -123,7 +126,7 @@ def better_reading(given: Sighting, misfit_px: float = _GROSS_PX) -> Reading | N
     best, best_px = None, max(misfit_px / _GAIN, _CLICK_PX)
     for reading, sighting in _readings(given):
         try:
-            camera, _ = sighting.solve()
+            camera, _ = sighting.solve(search=False)
         except CalibrationError:
             continue
         found_px = sighting.misfit_px(camera)

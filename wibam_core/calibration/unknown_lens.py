@@ -52,7 +52,7 @@ class LensFit:
     used: NDArray[np.bool_]
 
 
-def solve_unknown_lens(world: Array, pixels: Array, width_px: int, height_px: int) -> LensFit:
+def solve_unknown_lens(world: Array, pixels: Array, width_px: int, height_px: int, *, search: bool = True) -> LensFit:
     """Camera from points, wherever the world's origin is.
 
     Args:
@@ -60,6 +60,7 @@ def solve_unknown_lens(world: Array, pixels: Array, width_px: int, height_px: in
         pixels: (N, 2) where the camera sees them.
         width_px: image width.
         height_px: image height.
+        search: for wrong points, by subsets of them.
 
     Raises:
         CalibrationError: too few points, or none of the cameras tried has them all in front of it.
@@ -73,7 +74,7 @@ def solve_unknown_lens(world: Array, pixels: Array, width_px: int, height_px: in
     origin = near_origin(world)
     local = np.ascontiguousarray(world - origin)
     solver = _Solver(local, pixels, width_px, height_px)
-    used = find_inliers(len(world), MIN_POINTS, solver.candidates, solver.errors_px, trials=_TRIALS)
+    used = find_inliers(len(world), MIN_POINTS, solver.candidates, solver.errors_px, trials=_TRIALS if search else 0)
     best: _Guess | None = None
     for _ in range(3):
         options = solver.candidates(np.flatnonzero(used))

@@ -26,8 +26,8 @@ def calibration(
     files: Annotated[
         list[Path],
         typer.Argument(
-            help="A lens, a pose or surveyed points: OpenCV YAML or JSON, Kalibr, COLMAP, TUMTraf, MATLAB JSON, QGIS "
-            ".points, GeoJSON."
+            help="A lens, a pose or surveyed points: OpenCV YAML, JSON or XML, Kalibr, COLMAP, TUMTraf, MATLAB (JSON, "
+            ".mat), QGIS .points, GeoJSON."
         ),
     ],
     name: Annotated[
@@ -41,9 +41,9 @@ def calibration(
     before = None if site is None else next((one for one in site.cameras if one.id == camera), None)
     found = []
     for file in files:
-        reader, cameras = read_file(file)
+        form, cameras = read_file(file)
         found.append(chosen(cameras, [camera, *(name or [])], file.name))
-        console.print(escape(f"{file.name}: {reader.name}"), highlight=False, soft_wrap=True)
+        console.print(escape(f"{file.name}: {form}"), highlight=False, soft_wrap=True)
     size_px = _size_px(site_dir, camera) or (None if before is None else (before.width_px, before.height_px))
     size_px = size_px or next((one.intrinsics.size_px for one in found if one.intrinsics is not None), None)
     if size_px is None:

@@ -9,10 +9,11 @@ import cv2
 import numpy as np
 import pytest
 from pyproj import Geod, Transformer
+from scipy.io import savemat
 from typer.testing import CliRunner
 
 from tests.builders import look_at
-from wibam_core.calibration.foreign.registry import read_file
+from wibam_core.calibration.foreign.registry import read_file, read_named
 from wibam_core.cli.app import app
 from wibam_core.errors import InputError
 from wibam_core.geometry.camera import Camera
@@ -275,3 +276,109 @@ def test_a_ready_pose_and_its_lens_are_taken_as_they_are_and_scaled_with_the_pic
         told(site, "north", tumtraf_file(tmp_path))
     with pytest.raises(InputError, match="no surveyed points"):
         told(tmp_path / "other", "north", kalibr_file(tmp_path))
+
+
+def test_opencvs_xml_says_what_its_yaml_says(tmp_path: Path) -> None:
+    """As `cv2.FileStorage` itself writes it."""
+    path = tmp_path / "lens.xml"
+    storage = cv2.FileStorage(str(path), cv2.FILE_STORAGE_WRITE)
+    storage.write("image_width", 1280)
+    storage.write("image_height", 720)
+    storage.write("camera_matrix", np.array(CAMERA.K))
+    storage.write("distortion_coefficients", np.array([DIST]))
+    storage.write("distortion_model", "plumb_bob")
+    storage.release()
+    form, (found,) = read_file(path)
+    assert form == "OpenCV YAML, JSON or XML" and found.intrinsics is not None
+    np.testing.assert_allclose(found.intrinsics.K, CAMERA.K)
+    np.testing.assert_allclose(found.intrinsics.dist, DIST)
+    assert found.intrinsics.size_px == (1280, 720)
+
+
+@pytest.mark.parametrize(
+    ("name", "text"),
+    [
+        ("bomb.xml", '<!DOCTYPE x [<!ENTITY a "aa">]><opencv_storage><K>&a;</K></opencv_storage>'),
+        ("bomb.yaml", "a: &a [1, 1]\nb: &b [*a, *a]\nK: [*b, *b]\n"),
+        ("deep.json", "[" * 100_000),
+        ("deep.yaml", "K: " + "[" * 5_000),
+    ],
+)
+def test_texts_that_stand_for_more_than_they_are_long_are_refused(name: str, text: str) -> None:
+    with pytest.raises(InputError):
+        read_named(name, text)
+
+
+def double_sphere(points: np.ndarray, numbers: list[float]) -> np.ndarray:
+    """Pixels (N, 2) of camera-frame points (N, 3), written down from the model's paper."""
+    xi, alpha, fu, fv, pu, pv = numbers
+    x, y, z = points.T
+    d1 = np.sqrt(x * x + y * y + z * z)
+    d2 = np.sqrt(x * x + y * y + (xi * d1 + z) ** 2)
+    below = alpha * d2 + (1 - alpha) * (xi * d1 + z)
+    return np.column_stack([fu * x / below + pu, fv * y / below + pv])
+
+
+def enhanced_unified(points: np.ndarray, numbers: list[float]) -> np.ndarray:
+    """The same of the enhanced unified model."""
+    alpha, beta, fu, fv, pu, pv = numbers
+    x, y, z = points.T
+    below = alpha * np.sqrt(beta * (x * x + y * y) + z * z) + (1 - alpha) * z
+    return np.column_stack([fu * x / below + pu, fv * y / below + pv])
+
+
+@pytest.mark.parametrize(
+    ("model", "numbers", "project"),
+    [
+        ("ds", [-0.2, 0.59, 320.0, 321.0, 639.5, 479.5], double_sphere),
+        ("eucm", [0.62, 1.05, 340.0, 340.0, 645.0, 470.0], enhanced_unified),
+    ],
+)
+def test_kalibrs_spheres_become_the_fisheye_that_they_look_like(model, numbers, project, tmp_path: Path) -> None:
+    text = (
+        f"cam0:\n  camera_model: {model}\n  distortion_model: none\n  distortion_coeffs: []\n"
+        f"  intrinsics: {numbers}\n  resolution: [1280, 960]\n"
+    )
+    _, (found,) = read_file(saved(tmp_path, "camchain.yaml", text))
+    lens = found.intrinsics
+    assert lens is not None and lens.lens == "fisheye" and any("differs from it by" in note for note in found.notes)
+    camera = Camera(lens.K, lens.dist, CAMERA.T_world_cam, 1280, 960, "fisheye")
+    angle, around = np.meshgrid(np.radians(np.arange(0.5, 85.0, 3.0)), np.radians(np.arange(0, 360, 30)))
+    rays = np.stack([np.sin(angle) * np.cos(around), np.sin(angle) * np.sin(around), np.cos(angle)], axis=-1)
+    rays = rays.reshape(-1, 3)
+    expected = project(rays, numbers)
+    shown = camera.contains(expected)
+    assert shown.sum() > 100
+    np.testing.assert_allclose(camera.project_camera_points(rays[shown]), expected[shown], atol=0.25)
+
+
+def test_a_sphere_that_no_fisheye_is_like_is_refused_with_what_to_do(tmp_path: Path) -> None:
+    text = "cam0:\n  camera_model: eucm\n  intrinsics: [0.0, 1.0, 300, 300, 639.5, 479.5]\n  resolution: [1280, 960]\n"
+    with pytest.raises(InputError, match="differs from") as refused:
+        read_file(saved(tmp_path, "camchain.yaml", text))
+    assert "pinhole-equi" in (refused.value.hint or "")
+    broken = text.replace("[0.0, 1.0, 300,", "[7.0, 1.0, 300,")
+    with pytest.raises(InputError, match="not those of a lens"):
+        read_file(saved(tmp_path, "camchain.yaml", broken))
+
+
+def test_matlabs_structs_are_read_from_its_own_files(tmp_path: Path) -> None:
+    path = tmp_path / "lens.mat"
+    struct = {
+        "RadialDistortion": [DIST[0], DIST[1]],
+        "TangentialDistortion": [DIST[2], DIST[3]],
+        "ImageSize": [720.0, 1280.0],
+        "IntrinsicMatrix": (CAMERA.K + [[0, 0, 1], [0, 0, 1], [0, 0, 0]]).T,
+    }
+    savemat(path, {"params": struct, "note": "x"})
+    form, (found,) = read_file(path)
+    assert "MATLAB" in form and found.name == "params" and found.intrinsics is not None
+    np.testing.assert_allclose(found.intrinsics.K, CAMERA.K)
+    np.testing.assert_allclose(found.intrinsics.dist, DIST)
+    savemat(path, {"other": {"a": 1.0}})
+    with pytest.raises(InputError, match="RadialDistortion") as refused:
+        read_file(path)
+    assert "toStruct" in (refused.value.hint or "")
+    path.write_bytes(b"MATLAB 5.0 MAT-file" + bytes(200))
+    with pytest.raises(InputError, match="broken"):
+        read_file(path)

@@ -1,10 +1,11 @@
-"""OpenCV's YAML and JSON (`cv2.FileStorage`), what scripts dump as JSON or YAML, and ROS's camera_info."""
+"""OpenCV's YAML, JSON and XML (`cv2.FileStorage`), what scripts dump as JSON or YAML, and ROS's camera_info."""
 
 from __future__ import annotations
 
 import re
 from collections.abc import Mapping, Sequence
 from typing import Any
+from xml.etree import ElementTree
 
 import numpy as np
 import yaml
@@ -29,7 +30,12 @@ _MODELS: Mapping[str, Lens] = {
 
 
 class _Loader(yaml.SafeLoader):
-    """YAML with OpenCV's matrices."""
+    """YAML with OpenCV's matrices. No calibration has aliases; a few of them can stand for more than memory holds."""
+
+    def compose_node(self, parent: yaml.Node | None, index: int) -> yaml.Node | None:
+        if self.check_event(yaml.AliasEvent):
+            raise yaml.YAMLError("aliases are not read")
+        return super().compose_node(parent, index)
 
 
 def _plain_mapping(loader: yaml.SafeLoader, suffix: str, node: yaml.Node) -> Any:
@@ -49,12 +55,35 @@ def parsed_yaml(text: str) -> Mapping[str, Any] | None:
     return found if isinstance(found, dict) else None
 
 
+def parsed_xml(text: str) -> Mapping[str, Any] | None:
+    """The members of an ``opencv_storage``; None where there is none. Files with a document type are not read: what it
+    declares could stand for more than memory holds."""
+    if "<!DOCTYPE" in text or "<!ENTITY" in text or "<opencv_storage" not in text:
+        return None
+    try:
+        root = ElementTree.fromstring(re.sub(r"\A\s*<\?xml[^>]*\?>", "", text))
+    except ElementTree.ParseError:
+        return None
+    return {child.tag: _value(child) for child in root} if root.tag == "opencv_storage" else None
+
+
+def _value(element: ElementTree.Element) -> Any:
+    """A matrix's numbers, a number, several of them, or text."""
+    data = element.find("data")
+    words = ((element if data is None else data).text or "").split()
+    try:
+        numbers = [float(word) for word in words]
+    except ValueError:
+        return " ".join(words).strip('"')
+    return numbers[0] if data is None and len(numbers) == 1 else numbers
+
+
 def _content(text: str) -> Mapping[str, Any] | None:
-    return json_object(text) or parsed_yaml(text)
+    return parsed_xml(text) if text.lstrip().startswith("<") else json_object(text) or parsed_yaml(text)
 
 
 def _recognises(name: str, text: str) -> bool:
-    if not name.endswith((".yaml", ".yml", ".json")):
+    if not name.endswith((".yaml", ".yml", ".json", ".xml")):
         return False
     content = _content(text)
     return content is not None and first(content, _K) is not None
@@ -97,4 +126,4 @@ def _lens(content: Mapping[str, Any], xi: Any) -> Lens:
     return "fisheye" if first(content, ("fisheyemodel",)) else "pinhole"
 
 
-OPENCV = Reader("OpenCV YAML or JSON", _recognises, _read)
+OPENCV = Reader("OpenCV YAML, JSON or XML", _recognises, _read)

@@ -9,7 +9,7 @@ from wibam_core.calibration.foreign.base import FoundCamera, Reader
 from wibam_core.calibration.foreign.colmap import COLMAP_CAMERAS, COLMAP_IMAGES
 from wibam_core.calibration.foreign.geojson import GEOJSON
 from wibam_core.calibration.foreign.kalibr import KALIBR
-from wibam_core.calibration.foreign.matlab import MATLAB
+from wibam_core.calibration.foreign.matlab import MATLAB, read_mat
 from wibam_core.calibration.foreign.opencv import OPENCV
 from wibam_core.calibration.foreign.qgis import QGIS
 from wibam_core.calibration.foreign.tumtraf import TUMTRAF
@@ -24,19 +24,39 @@ READERS: tuple[Reader, ...] = (
 _MAX_BYTES = 1 << 26
 
 
-def read_file(path: Path) -> tuple[Reader, Sequence[FoundCamera]]:
+def read_file(path: Path) -> tuple[str, Sequence[FoundCamera]]:
     """What a file is, and the cameras in it.
 
     Raises:
         InputError: it is of no known format, or broken.
     """
-    text = read_text(path, _MAX_BYTES)
-    reader = next((reader for reader in READERS if reader.recognises(path.name.lower(), text)), None)
-    if reader is None:
-        raise InputError(
-            f"{path.name} is of no known calibration format", hint=f"Known are {', '.join(r.name for r in READERS)}."
-        )
+    if path.suffix.lower() == ".mat":
+        try:
+            return MATLAB.name, read_mat(path)
+        except InputError as error:
+            raise _of_file(path.name, MATLAB.name, error) from error
+    return read_named(path.name, read_text(path, _MAX_BYTES))
+
+
+def read_named(name: str, text: str) -> tuple[str, Sequence[FoundCamera]]:
+    """What the text of a file is, by the file's name and itself, and the cameras in it.
+
+    Raises:
+        InputError: it is of no known format, or broken.
+    """
     try:
-        return reader, reader.read(text)
+        reader = next((reader for reader in READERS if reader.recognises(name.lower(), text)), None)
+        if reader is None:
+            raise InputError(
+                f"{name} is of no known calibration format", hint=f"Known are {', '.join(r.name for r in READERS)}."
+            )
+        found = reader.read(text)
+    except RecursionError as error:
+        raise InputError(f"{name} is nested too deeply") from error
     except InputError as error:
-        raise InputError(f"{path.name} ({reader.name}): {error.message}", hint=error.hint, **error.details) from error
+        raise (error if reader is None else _of_file(name, reader.name, error)) from error
+    return reader.name, found
+
+
+def _of_file(name: str, form: str, error: InputError) -> InputError:
+    return InputError(f"{name} ({form}): {error.message}", hint=error.hint, **error.details)

@@ -24,7 +24,26 @@ export class CalibrationPanel {
     this.changed = changed;
     this.size = [description.width_px, description.height_px];
     this.id = description.id;
-    const given = description.calibration;
+    /** @type {Array<{node: HTMLElement, update: (point: Point, selected: boolean) => void}>} */
+    this.rows = [];
+    /** @type {Camera|null} */
+    this.camera = null;
+    this.timer = 0;
+    this.number = 0;
+    this.read(description.calibration);
+    byId("kind").addEventListener("change", () => { this.kind = byId("kind").value; this.showIntrinsics(); this.edited(); });
+    byId("paste").addEventListener("click", () => this.paste());
+    this.solve();
+  }
+
+  /** Go on with another calibration. @param {any} calibration */
+  take(calibration) {
+    this.read(calibration);
+    this.edited();
+  }
+
+  /** Show a calibration. @param {any} given */
+  read(given) {
     this.kind = given.kind;
     /** What this page does not edit stays as it was given, as long as the kind does. */
     const { kind, K: K_, dist: dist_, lens: lens_, xi: xi_, rvec, tvec, correspondences, ...rest } = given;
@@ -35,18 +54,9 @@ export class CalibrationPanel {
     /** @type {Point[]} */
     this.points = (given.correspondences ?? []).map((/** @type {any} */ pair) => ({ u: pair.pixel[0], v: pair.pixel[1], x: pair.world[0], y: pair.world[1], z: pair.world[2] }));
     this.selected = -1;
-    /** @type {Array<{node: HTMLElement, update: (point: Point, selected: boolean) => void}>} */
-    this.rows = [];
-    /** @type {Camera|null} */
-    this.camera = null;
-    this.timer = 0;
-    this.number = 0;
     byId("kind").value = this.kind;
-    byId("kind").addEventListener("change", () => { this.kind = byId("kind").value; this.showIntrinsics(); this.edited(); });
-    byId("paste").addEventListener("click", () => this.paste());
     this.showIntrinsics();
     this.showPoints();
-    this.solve();
   }
 
   /** The calibration as the site's document has it; points without all coordinates are left out. */

@@ -1,5 +1,5 @@
 // One camera of a site: look at its recording, calibrate it by clicks, draw its signal regions.
-import { get, query, request, send } from "../api.js";
+import { get, Problem, query, request, send } from "../api.js";
 import { attempt, byId, fill, h, message, say } from "../dom.js";
 import { clock, number } from "../format.js";
 import { drawGround, drawOnPlan, drawPoints, label } from "../calibrationdraw.js";
@@ -14,6 +14,8 @@ let record = /** @type {any} */ (null), dirty = false, asked = 0, fitted = false
 let panel = /** @type {CalibrationPanel|null} */ (null), signals = /** @type {SignalPanel|null} */ (null), recording = /** @type {string|null} */ (null);
 /** @type {number[][]} */
 let measured = [];
+/** Of the site's world, where points that were read from files gave it one. */
+let origin = /** @type {any} */ (null);
 const mode = () => /** @type {any} */ (document.querySelector("input[name=mode]:checked")).value;
 
 const view = new FrameView(byId("frame"), 1920, 1080, (frame, context) => {
@@ -102,12 +104,30 @@ async function showFrame() {
   }
 }
 
+/** Files of other programs take the place of what is on the page; nothing is saved yet. */
+async function readFiles() {
+  const input = byId("calibration-files"), place = byId("read-notes");
+  if (!panel || !record || !input.files.length) return;
+  const camera = { ...record.site.cameras.find((/** @type {any} */ one) => one.id === cameraId), calibration: panel.document() };
+  const files = await Promise.all([...input.files].map(async (/** @type {File} */ file) => ({ name: file.name, text: await file.text() })));
+  const names = byId("calibration-name").value.trim();
+  input.value = "";
+  try {
+    const answer = await send("POST", "/v1/calibration/read", { camera, files, names: names ? [names] : [], origin: origin ?? record.site.origin });
+    origin = answer.origin;
+    panel.take(answer.camera.calibration);
+    fill(place, h("p.note", null, files.map((file, index) => `${file.name}: ${answer.formats[index]}`).join("; ")), answer.notes.map((/** @type {string} */ note) => h("p.note", null, note)));
+  } catch (error) {
+    fill(place, error instanceof Problem ? message("bad", error.message, error.hint) : message("bad", String(error)));
+  }
+}
+
 async function save() {
   if (!panel || !signals) return;
   const description = { calibration: panel.document(), signals: signals.document() };
   const left = panel.points.length - panel.complete().length;
   record = await get(`/v1/sites/${siteId}`); // another page may have changed another camera meanwhile
-  const site = { ...record.site, cameras: record.site.cameras.map((/** @type {any} */ one) => (one.id === cameraId ? { ...one, ...description } : one)) };
+  const site = { ...record.site, origin: record.site.origin ?? origin, cameras: record.site.cameras.map((/** @type {any} */ one) => (one.id === cameraId ? { ...one, ...description } : one)) };
   record = await send("PUT", `/v1/sites/${siteId}`, site);
   before = JSON.stringify([panel.document(), signals.document()]);
   dirty = false;
@@ -154,6 +174,7 @@ async function start() {
   byId("frame").addEventListener("keydown", keys);
   byId("time").addEventListener("input", () => attempt(showFrame));
   for (const [id, by] of [["earlier", -1], ["later", 1]]) byId(id).addEventListener("click", () => { byId("time").value = now() + Number(by); attempt(showFrame); });
+  byId("calibration-files").addEventListener("change", () => attempt(readFiles));
   byId("save").addEventListener("click", () => attempt(save));
   window.addEventListener("beforeunload", (event) => { if (dirty) event.preventDefault(); });
   if (!recording) { fill(byId("frame-note"), message("plain", "this camera has no recording yet", "Upload one on the site's page; points can be typed meanwhile.")); return; }
