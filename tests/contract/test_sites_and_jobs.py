@@ -56,7 +56,7 @@ class TestToken:
 
     def test_health_and_documentation_are_open(self, api: LiveApi) -> None:
         for path in ("/healthz", "/version", "/openapi.json", "/docs"):
-            assert httpx.get(api.url + path).status_code == 200
+            assert httpx.get(api.url + path, timeout=60).status_code == 200
 
     def test_readiness_names_what_is_missing(self, api: LiveApi) -> None:
         body = assert_problem(httpx.get(f"{api.url}/readyz"), 503, "service_unavailable")

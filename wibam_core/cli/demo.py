@@ -16,12 +16,15 @@ from rich.progress import Progress, TimeElapsedColumn
 
 from wibam_core.artifacts.artifact import Artifact
 from wibam_core.artifacts.catalogue import CONFLICTS, METRICS, TRACKS
+from wibam_core.cli.display import time_left
 from wibam_core.cli.embedded import LOCK, EmbeddedService, exclusive
+from wibam_core.cli.foretell import foretold_demo
 from wibam_core.cli.run import parse_options
 from wibam_core.cli.service import watch
 from wibam_core.cli.tables import RESULTS, print_tables
 from wibam_core.cli.upload import send_site
 from wibam_core.client import JobView, WibamClient
+from wibam_core.config import PipelineConfig
 from wibam_core.errors import Conflict
 from wibam_core.report.summary import summary
 from wibam_core.stages.runner import SiteFolder
@@ -47,14 +50,15 @@ def demo(
     for stage, values in parse_options(option or []).items():
         options.setdefault(stage, {}).update(values)
     _make_room(out)
+    simulated = SimulationOptions(seed=seed, seconds=seconds, traffic_density=density, workers=2)
+    expected_s = foretold_demo(simulated, PipelineConfig.parse(options))
+    console.print(f"This will take about {time_left(expected_s)} on this machine.", highlight=False)
     spent: dict[str, float] = {}
     with EmbeddedService(out / "data") as service, WibamClient(service.url, service.token) as client:
         console.print(f"1. The service is up at {service.url}", highlight=False)
         console.print("2. Recording a simulated intersection with four cameras to video files", highlight=False)
         with _timed(spent, "simulate"):
-            _record(
-                out / "site", SimulationOptions(seed=seed, seconds=seconds, traffic_density=density, workers=2), console
-            )
+            _record(out / "site", simulated, console)
         console.print("3. Uploading the recordings and the calibration over HTTP", highlight=False)
         with _timed(spent, "upload"):
             site_id = send_site(client, SiteFolder.load(out / "site"), console)

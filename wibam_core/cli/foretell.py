@@ -14,9 +14,12 @@ from wibam_core.config import PipelineConfig
 from wibam_core.costs import Footage, Machine, expected_s
 from wibam_core.stages.graph import STAGES
 from wibam_core.stages.runner import SiteFolder
+from wibam_core.synthetic.options import SimulationOptions
 
 #: How often the speed is tried, and how long one try takes on the machine where costs were measured, s.
 _TRIES, _TRY_S = 12, 0.012
+#: What rendering and encoding a megapixel takes there, s.
+_RECORDING_S = 0.078
 
 
 def foretold(folder: SiteFolder, config: PipelineConfig) -> dict[str, float]:
@@ -33,6 +36,16 @@ def foretold(folder: SiteFolder, config: PipelineConfig) -> dict[str, float]:
     seconds = min(sum(length.seconds for length in of_camera) for of_camera in known)
     frames = sum(length.frames for of_camera in known for length in of_camera)
     return expected_s(Footage.of(folder.site, config, seconds, frames), config, tried(this_machine()))
+
+
+def foretold_demo(options: SimulationOptions, config: PipelineConfig) -> float:
+    """Seconds that recording a simulated site, and a job on it, are expected to take here."""
+    frames = round(options.cameras * options.fps * options.seconds)
+    megapixels = options.width_px * options.height_px / 1e6
+    footage = Footage(options.cameras, options.seconds, frames, frames * megapixels, megapixels, has_signals=True)
+    machine = tried(this_machine())
+    recording = machine.slowness * _RECORDING_S * frames * megapixels / min(options.workers, machine.cores)
+    return recording + sum(expected_s(footage, config, machine).values())
 
 
 def print_foretold(

@@ -111,15 +111,21 @@ class PipelineResult:
     seconds: Mapping[str, float]
 
 
-def _progress_of(stage: str, pace: Pace, following: Sequence[str], listener: Callable[[StageUpdate], None]) -> Progress:
+def _progress_of(
+    stage: str,
+    pace: Pace,
+    following: Sequence[str],
+    listener: Callable[[StageUpdate], None],
+    clock: Callable[[], float],
+) -> Progress:
     """What a stage reports to; ``following`` are those that are to be made after it."""
-    started = time.monotonic()
+    started = clock()
 
     def report(fraction: float, message: str = "", **figures: float) -> None:
         nonlocal started
         if fraction <= 0.0:  # what it has waited for others before says nothing of its pace
-            started = time.monotonic()
-        left_s = pace.stage_left_s(stage, time.monotonic() - started, fraction)
+            started = clock()
+        left_s = pace.stage_left_s(stage, clock() - started, fraction)
         parts = [left_s, *map(pace.stage_left_s, following)]
         job_s = None if any(part is None for part in parts) else sum(part for part in parts if part is not None)
         listener(StageUpdate(stage, "running", fraction, message, figures, remaining_s=left_s, job_remaining_s=job_s))
@@ -135,6 +141,7 @@ def run_pipeline(
     *,
     until: str | None = None,
     expected_s: Mapping[str, float] = MappingProxyType({}),
+    clock: Callable[[], float] = time.monotonic,
 ) -> PipelineResult:
     """Run every stage that the store does not hold yet, in order, up to and with ``until``.
 
@@ -146,6 +153,7 @@ def run_pipeline(
         until: the last stage to run; None: all.
         expected_s: stage -> how long it is expected to take, see `wibam_core.costs`; says how long all will
             still take.
+        clock: seconds, from any beginning.
 
     Raises:
         InputError: the options ask for a file that the folder lacks.
@@ -166,14 +174,14 @@ def run_pipeline(
         name = planned.name
         pace = Pace(expected, {made: seconds[made] for made in to_make if made in seconds})
         following = to_make[to_make.index(name) + 1 :] if name in to_make else []
-        report = _progress_of(name, pace, following, listener)
+        report = _progress_of(name, pace, following, listener, clock)
         found = folder.made(planned, store)
         state = "given" if name in folder.given else "reused"
         if found is None:
             with store.turn(planned.hash, partial(report, 0.0, "another process runs this stage: waiting for it")):
                 found = store.find(name, planned.hash)
                 if found is None:
-                    found = _made(folder, store, config, planned, folders, report, listener)
+                    found = _made(folder, store, config, planned, folders, report, listener, clock)
                     state = "succeeded"
         manifest = ArtifactReader({name: found}).manifest(name)
         folders[name], summaries[name], seconds[name] = found, manifest.summary, manifest.seconds
@@ -206,6 +214,7 @@ def _made(
     folders: Mapping[str, Path],
     report: Progress,
     listener: Callable[[StageUpdate], None],
+    clock: Callable[[], float],
 ) -> Path:
     """The published folder of a stage, run on those of the stages before."""
     name = planned.name
@@ -213,10 +222,10 @@ def _made(
     request = StageRequest.of(attempt, folder.site, config, folder.recordings, folder.assets, folders)
     warnings: list[StageWarning] = []
     report(0.0)
-    started = time.monotonic()
+    started = clock()
     try:
         summary = run_stage(request, report, warnings.append)
-        return store.publish(attempt, summary, time.monotonic() - started, warnings)
+        return store.publish(attempt, summary, clock() - started, warnings)
     except WibamError as error:
         listener(StageUpdate(name, "failed", message=error.message, warnings=warnings))
         raise
