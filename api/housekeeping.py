@@ -40,6 +40,7 @@ class Housekeeper:
         lost.forget()
         if number % _TIDY_EVERY == 0:
             services.uploads.tidy()
+            services.audit.tidy()
             services.stages.sweep(services.leases.running_hashes)
             services.folder.tidy_clips(services.clips.ids)
 

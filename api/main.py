@@ -14,13 +14,15 @@ from starlette.concurrency import run_in_threadpool
 from starlette.middleware.cors import CORSMiddleware
 from starlette.responses import HTMLResponse
 
+from api.access import needed_scope
 from api.docs_page import DOCS_PAGE
 from api.housekeeping import Housekeeper
-from api.problems import Problem, add_handlers
-from api.routes import clips, exports, jobs, labels, looks, results, reviews, scene, sites, system, uploads
+from api.problems import Problem, add_handlers, documented
+from api.routes import access, clips, exports, jobs, labels, looks, results, reviews, scene, sites, system, uploads
 from api.security import Gate
 from api.services import Services
 from api.sessions import SESSION_COOKIE
+from api.telemetry import REQUEST_ID, Telemetry
 from api.tus import TUS_RESPONSE_HEADERS, TusHeaders
 from api.web.pages import add_pages
 from wibam_core import __version__
@@ -29,6 +31,8 @@ from wibam_core.adapters.settings import ServiceSettings
 from wibam_core.errors import Conflict
 
 _log = logging.getLogger(__name__)
+#: What pages of other origins may see of an answer's headers, beside those of uploads.
+_EXPOSED = (REQUEST_ID, "Location", "ETag", "Retry-After", "Content-Disposition")
 _DESCRIPTION = """
 Fine-tune a monocular 3D vehicle detector for an intersection, from recordings of a few ordinary cameras and their
 calibration, without hand labels; get 7DoF tracks and the conflicts between road users.
@@ -39,9 +43,10 @@ calibration, without hand labels; get 7DoF tracks and the conflicts between road
 4. `GET /v1/jobs/{id}/metrics`, `/model`, `/tracks`, `/conflicts`, `/report`: the results;
    `/exports/{format}` has them in formats of others.
 
-Everything under `/v1` needs `Authorization: Bearer TOKEN`; the pages, at `/`, sign in with it once and then send a
-cookie in its place, and the header `X-Wibam-Page` with everything that changes something. Errors are
-`application/problem+json` (RFC 9457) with a stable `code`, a sentence and a `hint`.
+Everything under `/v1` needs `Authorization: Bearer TOKEN`, with the token of the service, which may do everything, or a
+key (`POST /v1/keys`), which may do what its scopes say; each operation names the one that it takes. The pages, at `/`,
+sign in with the token once and then send a cookie in its place, and the header `X-Wibam-Page` with everything that
+changes something. Errors are `application/problem+json` (RFC 9457) with a stable `code`, a sentence and a `hint`.
 """
 
 
@@ -85,6 +90,7 @@ def create_app(settings: ServiceSettings) -> FastAPI:
         reviews.router,
         labels.router,
         exports.router,
+        access.router,
         results.public_router,
         system.options_router,
         system.router,
@@ -93,7 +99,7 @@ def create_app(settings: ServiceSettings) -> FastAPI:
     app.add_api_route("/docs", lambda: HTMLResponse(DOCS_PAGE), include_in_schema=False)
     add_pages(app)
     app.openapi = lambda: _openapi(app)  # type: ignore[method-assign]
-    app.add_middleware(Gate, token_sha256=settings.token_sha256)
+    app.add_middleware(Gate, token_sha256=settings.token_sha256, passes=services.passes, keys=services.keys)
     app.add_middleware(TusHeaders)
     if settings.cors_origins:
         app.add_middleware(
@@ -101,8 +107,16 @@ def create_app(settings: ServiceSettings) -> FastAPI:
             allow_origins=settings.cors_origins,
             allow_methods=["GET", "HEAD", "POST", "PUT", "PATCH", "DELETE"],
             allow_headers=["*"],
-            expose_headers=["Location", "ETag", "Retry-After", "Content-Disposition", *TUS_RESPONSE_HEADERS],
+            expose_headers=[
+                REQUEST_ID,
+                "Location",
+                "ETag",
+                "Retry-After",
+                "Content-Disposition",
+                *TUS_RESPONSE_HEADERS,
+            ],
         )
+    app.add_middleware(Telemetry, audit=services.audit)
     return app
 
 
@@ -140,10 +154,12 @@ def _openapi(app: FastAPI) -> dict[str, Any]:
             "session": {"type": "apiKey", "in": "cookie", "name": SESSION_COOKIE},
         }
         for path, operations in document["paths"].items():
-            for operation in operations.values():
+            for method, operation in operations.items():
                 _with_problems(operation)
-                if path.startswith("/v1/"):
-                    operation["security"] = [{"token": []}, {"session": []}]
+                if path.startswith("/v1/") and method != "options":  # what tus can do here is told to everybody
+                    scope = needed_scope(method.upper(), path).value
+                    operation["security"] = [{"token": [scope]}, {"session": []}]
+                    operation["responses"].setdefault("403", documented(403)[403])
         app.openapi_schema = document
     return app.openapi_schema
 

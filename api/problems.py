@@ -16,6 +16,7 @@ from starlette.exceptions import HTTPException
 from starlette.responses import JSONResponse
 from starlette.routing import Match
 
+from api.access import current_visit
 from wibam_core.errors import InputError, ServiceUnavailable, WibamError
 
 MEDIA_TYPE = "application/problem+json"
@@ -25,6 +26,7 @@ _log = logging.getLogger(__name__)
 STATUS: Mapping[str, int] = {
     "unauthorised": 401,
     "cross_site": 403,
+    "forbidden": 403,
     "not_found": 404,
     "upload_stalled": 408,
     "conflict": 409,
@@ -76,6 +78,7 @@ class Problem(BaseModel):
     code: str = Field(description="stable, for programs")
     hint: str = Field("", description="what can be done about it")
     details: dict[str, Any] = Field({}, description="facts, for programs")
+    request_id: str = Field("", description="names the request in the service's log; in the header `X-Request-ID`, too")
 
 
 def problem(error: WibamError, status: int | None = None, headers: Mapping[str, str] | None = None) -> JSONResponse:
@@ -89,6 +92,7 @@ def problem(error: WibamError, status: int | None = None, headers: Mapping[str, 
         code=error.code,
         hint=error.hint,
         details=jsonable_encoder(error.details),
+        request_id=visit.request_id if (visit := current_visit.get()) is not None else "",
     )
     headers = dict(headers or {})
     if status == 401:

@@ -2,27 +2,26 @@
 
 from __future__ import annotations
 
-import hashlib
 import hmac
-import time
-from collections.abc import Callable
 from urllib.parse import unquote_to_bytes
 
+from starlette.concurrency import run_in_threadpool
 from starlette.datastructures import Headers
 from starlette.exceptions import HTTPException
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
+from api.access import GUEST, PAGE, SAFE, TOKEN, needed_scope, visit_of
 from api.problems import problem
 from api.sessions import PAGE_HEADER, Passes, parse_cookies
+from wibam_core.adapters.key_store import PREFIX, KeyStore
 from wibam_core.adapters.settings import token_digest
-from wibam_core.errors import InputError, NotFound, TooLarge, Unauthorised, WibamError
+from wibam_core.errors import Forbidden, InputError, NotFound, TooLarge, Unauthorised, WibamError
 
 _PROTECTED = "/v1/"
 _UPLOADS = "/v1/uploads/"
 #: Of pieces of uploads, as tus has it.
 UPLOAD_CONTENT_TYPE = "application/offset+octet-stream"
 _JOBS = "/v1/jobs/"
-_SAFE = ("GET", "HEAD")
 
 
 class CrossSite(WibamError):
@@ -34,19 +33,24 @@ class Gate:
     """ASGI middleware: everything under ``/v1/`` needs the token, or a browser's pass in its place; bodies other than
     uploads are bounded.
 
-    With a session (`api.sessions`) a browser may do everything, but a change only from our own pages. With a link to a
-    job it may read that job.
+    A key opens what its scopes say (`api.access`). With a session (`api.sessions`) a browser may do everything, but a
+    change only from our own pages. With a link to a job it may read that job.
 
     Args:
         app: what lies behind.
         token_sha256: SHA-256 (hex) of the token.
+        passes: of browsers.
+        keys: that stand in for the token.
         max_body_bytes: of a request that is no piece of an upload.
     """
 
-    def __init__(self, app: ASGIApp, token_sha256: str, max_body_bytes: int = 4_000_000) -> None:
+    def __init__(
+        self, app: ASGIApp, token_sha256: str, passes: Passes, keys: KeyStore, max_body_bytes: int = 4_000_000
+    ) -> None:
         self._app = app
         self._token_sha256 = token_sha256
-        self._passes = Passes(token_sha256)
+        self._passes = passes
+        self._keys = keys
         self._max_body_bytes = max_body_bytes
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
@@ -54,9 +58,14 @@ class Gate:
             await self._app(scope, receive, send)
             return
         headers = Headers(scope=scope)
-        if self._needs_token(scope) and (refusal := self._refusal(scope, headers)) is not None:
-            await problem(refusal)(scope, receive, send)
-            return
+        if self._needs_token(scope):
+            try:
+                who = await self._who(scope, headers)
+            except WibamError as refusal:
+                await problem(refusal)(scope, receive, send)
+                return
+            if (visit := visit_of(scope)) is not None:
+                visit.who = who
         if (senseless := _nul(scope)) is not None:
             await problem(senseless)(scope, receive, send)
             return
@@ -72,24 +81,42 @@ class Gate:
     def _needs_token(self, scope: Scope) -> bool:
         return scope["path"].startswith(_PROTECTED) and scope["method"] != "OPTIONS"
 
-    def _refusal(self, scope: Scope, headers: Headers) -> WibamError | None:
-        """Why somebody may not come in; None where they may."""
+    async def _who(self, scope: Scope, headers: Headers) -> str:
+        """Who comes in; see `api.access.Visit`.
+
+        Raises:
+            Unauthorised, Forbidden, CrossSite: they may not.
+        """
         if "authorization" in headers:
-            return None if self._has_token(headers) else Unauthorised("the API token is missing or wrong")
+            return await self._bearer(scope, headers["authorization"])
         cookies = parse_cookies(headers.get("cookie", ""))
-        reads = scope["method"] in _SAFE
+        reads = scope["method"] in SAFE
         if self._passes.is_session(cookies):
-            own = reads or PAGE_HEADER in headers
-            return None if own else CrossSite(f"a browser's change came without the header {PAGE_HEADER}")
+            if not (reads or PAGE_HEADER in headers):
+                raise CrossSite(f"a browser's change came without the header {PAGE_HEADER}")
+            return PAGE
         job_id = scope["path"].removeprefix(_JOBS).partition("/")[0] if scope["path"].startswith(_JOBS) else ""
         if job_id and reads and self._passes.may_read(job_id, cookies):
-            return None
-        return Unauthorised("the API token is missing or wrong")
+            return GUEST
+        raise Unauthorised("the API token is missing or wrong")
 
-    def _has_token(self, headers: Headers) -> bool:
-        scheme, _, token = headers.get("authorization", "").partition(" ")
-        digest = token_digest(token.strip())
-        return hmac.compare_digest(digest, self._token_sha256) and scheme.lower() == "bearer"
+    async def _bearer(self, scope: Scope, authorization: str) -> str:
+        scheme, _, secret = authorization.partition(" ")
+        secret = secret.strip()
+        if scheme.lower() == "bearer":
+            if hmac.compare_digest(token_digest(secret), self._token_sha256):
+                return TOKEN
+            key = await run_in_threadpool(self._keys.find, secret) if secret.startswith(PREFIX) else None
+            if key is not None:
+                needed = needed_scope(scope["method"], scope["path"])
+                if not key.may(needed):
+                    raise Forbidden(
+                        f"the key {key.id} has no scope {needed}",
+                        hint=f"This takes a key with the scope {needed}: {needed.meaning}.",
+                        scope=needed.value,
+                    )
+                return key.id
+        raise Unauthorised("the API token is missing or wrong")
 
     def _bounded(self, receive: Receive) -> Receive:
         received = 0
@@ -134,34 +161,3 @@ def _nul(scope: Scope) -> WibamError | None:
     if b"\0" in unquote_to_bytes(scope["query_string"]):
         return InputError("no parameter has a NUL in it", hint="Leave %00 out of the address.")
     return None
-
-
-class ReportLinks:
-    """Short-lived links by which a browser, which cannot send a token, opens one job's report.
-
-    Args:
-        secret: known to the service alone.
-        lifetime_s: how long a link works.
-        now: Unix seconds.
-    """
-
-    def __init__(self, secret: str, lifetime_s: float = 600.0, now: Callable[[], float] = time.time) -> None:
-        self._key = hashlib.sha256(b"wibam report links:" + secret.encode()).digest()
-        self._lifetime_s = lifetime_s
-        self._now = now
-
-    def sign(self, job_id: str) -> tuple[int, str]:
-        """When the link expires (Unix seconds), and its signature."""
-        expires = int(self._now() + self._lifetime_s)
-        return expires, self._signature(job_id, expires)
-
-    def verify(self, job_id: str, expires: int, signature: str) -> None:
-        """Raises:
-        Unauthorised: the link is too old, or was not made by us.
-        """
-        expected = self._signature(job_id, expires)
-        if not hmac.compare_digest(expected.encode(), signature.encode()) or expires < self._now():
-            raise Unauthorised("this link has expired", hint="Ask for a new one: GET /v1/jobs/{id}/report-link.")
-
-    def _signature(self, job_id: str, expires: int) -> str:
-        return hmac.new(self._key, f"{job_id}:{expires}".encode(), hashlib.sha256).hexdigest()

@@ -9,12 +9,14 @@ from typing import Annotated
 
 from fastapi import Depends, Request
 
-from api.sessions import Passes
+from api.sessions import Passes, ReportLinks
+from wibam_core.adapters.audit_store import AuditStore
 from wibam_core.adapters.clip_store import ClipStore
 from wibam_core.adapters.database import Database
 from wibam_core.adapters.files import DataFolder
 from wibam_core.adapters.glimpses import Glimpses
 from wibam_core.adapters.job_store import JobStore
+from wibam_core.adapters.key_store import KeyStore
 from wibam_core.adapters.label_store import LabelStore
 from wibam_core.adapters.lease_store import LeaseStore
 from wibam_core.adapters.queue import JobQueue, make_celery
@@ -45,6 +47,9 @@ class Services:
     stages: StageStore
     reviews: ReviewStore
     passes: Passes
+    report_links: ReportLinks
+    keys: KeyStore
+    audit: AuditStore
     glimpses: Glimpses
     clips: ClipStore
 
@@ -55,6 +60,8 @@ class Services:
         database = Database(settings.database_url)
         sites = SiteStore(database)
         leases = LeaseStore(database, settings.leases)
+        # with another token, what rested on the old one ends
+        signing_secret = f"{folder.secret()}:{settings.token_sha256}"
         return cls(
             settings=settings,
             database=database,
@@ -71,7 +78,10 @@ class Services:
             labels=LabelStore(database),
             stages=StageStore(folder.stages),
             reviews=ReviewStore(database),
-            passes=Passes(settings.token_sha256),
+            passes=Passes(signing_secret),
+            report_links=ReportLinks(signing_secret),
+            keys=KeyStore(database),
+            audit=AuditStore(database),
             glimpses=Glimpses(),
             clips=ClipStore(database, settings.leases),
         )

@@ -9,6 +9,8 @@ from collections.abc import Callable, Mapping
 from http.cookies import CookieError, SimpleCookie
 from typing import Final
 
+from wibam_core.errors import Unauthorised
+
 #: The cookie of a browser that has shown the token.
 SESSION_COOKIE: Final = "wibam_session"
 #: What pages send with everything that changes something. A page of another site cannot: a browser asks us first
@@ -65,6 +67,37 @@ class Passes:
 
     def _signature(self, subject: str, expires: int) -> str:
         return hmac.new(self._key, f"{subject}:{expires}".encode(), hashlib.sha256).hexdigest()
+
+
+class ReportLinks:
+    """Short-lived links by which a browser, which cannot send a token, opens one job's report.
+
+    Args:
+        secret: known to the service alone.
+        lifetime_s: how long a link works.
+        now: Unix seconds.
+    """
+
+    def __init__(self, secret: str, lifetime_s: float = 600.0, now: Callable[[], float] = time.time) -> None:
+        self._key = hashlib.sha256(b"wibam report links:" + secret.encode()).digest()
+        self._lifetime_s = lifetime_s
+        self._now = now
+
+    def sign(self, job_id: str) -> tuple[int, str]:
+        """When the link expires (Unix seconds), and its signature."""
+        expires = int(self._now() + self._lifetime_s)
+        return expires, self._signature(job_id, expires)
+
+    def verify(self, job_id: str, expires: int, signature: str) -> None:
+        """Raises:
+        Unauthorised: the link is too old, or was not made by us.
+        """
+        expected = self._signature(job_id, expires)
+        if not hmac.compare_digest(expected.encode(), signature.encode()) or expires < self._now():
+            raise Unauthorised("this link has expired", hint="Ask for a new one: GET /v1/jobs/{id}/report-link.")
+
+    def _signature(self, job_id: str, expires: int) -> str:
+        return hmac.new(self._key, f"{job_id}:{expires}".encode(), hashlib.sha256).hexdigest()
 
 
 def share_cookie(job_id: str) -> str:

@@ -190,6 +190,12 @@ class Unauthorised(WibamError):
     default_hint = "Send the API token as 'Authorization: Bearer TOKEN'; `wibam serve` prints it."
 
 
+class Forbidden(WibamError):
+    """Who asks is known, and may not do this."""
+
+    code = "forbidden"
+
+
 class QuotaExceeded(WibamError):
     code = "quota_exceeded"
 

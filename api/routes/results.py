@@ -18,7 +18,6 @@ from starlette.responses import FileResponse, JSONResponse, Response, StreamingR
 from api.parameters import ONLY_KNOWN_PARAMETERS
 from api.problems import documented
 from api.schemas import ArtifactOut, ReportLinkOut
-from api.security import ReportLinks
 from api.services import Services, ServicesDep
 from wibam_core.adapters.results import ResultFile, conflicts_csv
 from wibam_core.adapters.track_query import (
@@ -178,7 +177,7 @@ def report(job_id: str, services: ServicesDep) -> FileResponse:
 def report_link(job_id: str, services: ServicesDep) -> ReportLinkOut:
     """Works without a token, for ten minutes, for this one report."""
     services.results.file(services.jobs.job(job_id), catalogue.REPORT)
-    expires, signature = _links(services).sign(job_id)
+    expires, signature = services.report_links.sign(job_id)
     return ReportLinkOut(
         url=f"/reports/{job_id}?expires={expires}&signature={signature}",
         expires_at=datetime.fromtimestamp(expires, UTC),
@@ -193,12 +192,8 @@ def report_link(job_id: str, services: ServicesDep) -> ReportLinkOut:
 )
 def report_by_link(job_id: str, expires: int, signature: str, services: ServicesDep) -> FileResponse:
     """See `GET /v1/jobs/{job_id}/report-link`."""
-    _links(services).verify(job_id, expires, signature)
+    services.report_links.verify(job_id, expires, signature)
     return _report(services, services.jobs.job(job_id))
-
-
-def _links(services: Services) -> ReportLinks:
-    return ReportLinks(services.settings.token_sha256)
 
 
 def _report(services: Services, job: Job) -> FileResponse:

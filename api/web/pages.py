@@ -191,6 +191,11 @@ def compare() -> HTMLResponse:
     return page("compare")
 
 
+@router.get("/keys", dependencies=SignedIn)
+def keys() -> HTMLResponse:
+    return page("keys")
+
+
 @router.get("/sites", dependencies=SignedIn)
 def sites() -> HTMLResponse:
     return page("sites")

@@ -20,6 +20,7 @@ PAGES = {
     "player": lambda site, job: f"/jobs/{job}/player",
     "conflicts": lambda site, job: f"/jobs/{job}/conflicts",
     "compare": lambda site, job: "/compare",
+    "keys": lambda site, job: "/keys",
     "sites": lambda site, job: "/sites",
     "site": lambda site, job: f"/sites/{site}",
     "camera": lambda site, job: f"/sites/{site}/cameras/cam1",

@@ -61,8 +61,10 @@ class TestSession:
         assert signed_in.get("/v1/sites").status_code == 401
 
     def test_a_pass_of_another_token_or_day_opens_nothing(self, api: LiveApi, browser: httpx.Client) -> None:
-        secret = api.services.settings.token_sha256
-        for forged in (Passes("another").session(), Passes(secret, now=lambda: 1e9).session(), "9999999999.", "x"):
+        digest = api.services.settings.token_sha256
+        secret = f"{api.services.folder.secret()}:{digest}"
+        late = Passes(secret, now=lambda: 1e9).session()
+        for forged in (Passes("another").session(), Passes(digest).session(), late, "9999999999.", "x"):
             browser.cookies.set(SESSION_COOKIE, forged)
             assert browser.get("/v1/sites").status_code == 401
 
@@ -93,7 +95,8 @@ class TestSharedJob:
         assert browser.patch(f"/v1/jobs/{job}", json={"name": "mine"}, headers=OURS).status_code == 401
 
     def test_a_link_that_is_too_old_says_so(self, api: LiveApi, browser: httpx.Client, job: str) -> None:
-        old = Passes(api.services.settings.token_sha256, now=lambda: 1e9).share(job, 3600)
+        secret = f"{api.services.folder.secret()}:{api.services.settings.token_sha256}"
+        old = Passes(secret, now=lambda: 1e9).share(job, 3600)
         answer = browser.get(f"/share/{job}?key={old}")
         assert answer.status_code == 401
         assert "no more" in answer.text

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import fcntl
 import hashlib
 import os
@@ -29,7 +30,7 @@ class DataFolder:
 
     ``uploads/`` unfinished uploads, ``files/`` finished ones, ``stages/`` published outputs (`StageStore`),
     ``logs/`` one text file a job, ``clips/`` finished video clips, ``cache/`` what stages may cache, ``workers/``
-    who is there (`presence`), ``database-id`` whose folder it is, ``folder-id`` which one.
+    who is there (`presence`), ``database-id`` whose folder it is, ``folder-id`` which one, ``secret`` what signs links.
     """
 
     def __init__(self, root: Path) -> None:
@@ -129,6 +130,18 @@ class DataFolder:
     def be(self, folder_id: str) -> None:
         """Remember which folder this is."""
         self._remember("folder-id", folder_id)
+
+    def secret(self) -> str:
+        """What signs links and browsers' passes: known to the service alone, made on first use."""
+        path = self.root / "secret"
+        if not path.exists():
+            partial = self.root / f"secret-{secrets.token_hex(4)}"
+            with os.fdopen(os.open(partial, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o600), "w") as file:
+                file.write(secrets.token_urlsafe(32) + "\n")
+            with contextlib.suppress(FileExistsError):
+                os.link(partial, path)  # of services that start together, the first one's stays
+            partial.unlink()
+        return path.read_text().strip()
 
     def _told(self, name: str) -> str | None:
         path = self.root / name

@@ -35,6 +35,37 @@ class DatabaseIdRow(Base):
     folder_id: Mapped[str | None] = mapped_column(String(64))
 
 
+class ApiKeyRow(Base):
+    """``digest``: SHA-256 of the secret; the secret itself is not kept."""
+
+    __tablename__ = "api_keys"
+
+    id: Mapped[str] = mapped_column(String(64), primary_key=True)
+    name: Mapped[str] = mapped_column(String(200))
+    scopes: Mapped[list[str]]
+    digest: Mapped[str] = mapped_column(String(64))
+    created_at: Mapped[float]
+    expires_at: Mapped[float | None]
+    last_used_at: Mapped[float | None]
+    revoked_at: Mapped[float | None]
+
+    __table_args__ = (Index("ix_api_keys_digest", "digest", unique=True),)
+
+
+class AuditRow(Base):
+    """One change that somebody made, or tried to."""
+
+    __tablename__ = "audit"
+
+    id: Mapped[int] = mapped_column(primary_key=True, autoincrement=True)
+    at: Mapped[float] = mapped_column(index=True)
+    who: Mapped[str] = mapped_column(String(80))
+    what: Mapped[str] = mapped_column(String(500))
+    status: Mapped[int]
+    request_id: Mapped[str] = mapped_column(String(64))
+    address: Mapped[str] = mapped_column(String(80))
+
+
 class SiteRow(Base):
     __tablename__ = "sites"
 

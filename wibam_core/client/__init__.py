@@ -13,9 +13,12 @@ from wibam_core.client.client import WibamClient
 from wibam_core.client.uploading import UploadProgress
 from wibam_core.client.views import (
     ArtifactView,
+    AuditView,
     ClipView,
     FileView,
     JobView,
+    KeyView,
+    NewKeyView,
     PlannedView,
     ProblemView,
     SiteView,
@@ -24,9 +27,12 @@ from wibam_core.client.views import (
 
 __all__ = [
     "ArtifactView",
+    "AuditView",
     "ClipView",
     "FileView",
     "JobView",
+    "KeyView",
+    "NewKeyView",
     "PlannedView",
     "ProblemView",
     "SiteView",

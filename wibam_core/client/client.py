@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from pathlib import Path
 from types import TracebackType
 from typing import Any, Self
@@ -11,7 +11,17 @@ from urllib.parse import quote
 
 from wibam_core.client.connection import Connection
 from wibam_core.client.uploading import UploadProgress, send_file
-from wibam_core.client.views import ArtifactView, ClipView, FileView, JobView, PlannedView, SiteView
+from wibam_core.client.views import (
+    ArtifactView,
+    AuditView,
+    ClipView,
+    FileView,
+    JobView,
+    KeyView,
+    NewKeyView,
+    PlannedView,
+    SiteView,
+)
 from wibam_core.documents.clips import ClipSpec
 from wibam_core.documents.conflicts import Conflicts
 from wibam_core.documents.exports import BoxSource, ExportOffer
@@ -181,6 +191,25 @@ class WibamClient:
         """A part of the log, the offset to go on at, and whether that was all."""
         found = self._connection.json("GET", f"/v1/jobs/{job_id}/log", params={"offset": offset})
         return str(found["text"]), int(found["next_offset"]), bool(found["complete"])
+
+    # --- keys and audit ------------------------------------------------------------------------
+    def create_key(self, name: str, scopes: Iterable[str], lifetime_days: float | None = None) -> NewKeyView:
+        """A key, with its secret, which is told this once."""
+        body = {"name": name, "scopes": list(scopes), "lifetime_days": lifetime_days}
+        return NewKeyView.model_validate(self._connection.json("POST", "/v1/keys", json=body))
+
+    def api_keys(self) -> list[KeyView]:
+        """The newest first, with those that no longer work."""
+        return [KeyView.model_validate(item) for item in self._connection.json("GET", "/v1/keys")]
+
+    def revoke_key(self, key_id: str) -> KeyView:
+        """Let a key open nothing from now on."""
+        return KeyView.model_validate(self._connection.json("DELETE", f"/v1/keys/{quote(key_id, safe='')}"))
+
+    def audit(self, limit: int = 100) -> list[AuditView]:
+        """Who changed what, the newest first."""
+        found = self._connection.json("GET", "/v1/audit", params={"limit": limit})
+        return [AuditView.model_validate(item) for item in found]
 
     # --- results -------------------------------------------------------------------------------
     def metrics(self, job_id: str) -> Metrics:

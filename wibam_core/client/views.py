@@ -119,3 +119,32 @@ class ClipView(_View):
         """
         if self.state is ClipState.FAILED and self.error is not None:
             raise WibamError.from_dict(self.error.model_dump())
+
+
+class KeyView(_View):
+    """An API key, without its secret."""
+
+    id: str
+    name: str
+    scopes: tuple[str, ...]
+    created_at: str
+    expires_at: str | None
+    last_used_at: str | None
+    works: bool
+
+
+class NewKeyView(KeyView):
+    """A key that was just made, with its secret."""
+
+    secret: str
+
+
+class AuditView(_View):
+    """A change that somebody made, or tried to."""
+
+    id: int
+    at: str
+    who: str
+    what: str
+    status: int
+    request_id: str

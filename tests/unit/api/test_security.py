@@ -1,13 +1,17 @@
 from __future__ import annotations
 
 import asyncio
+from pathlib import Path
 
 import pytest
 from starlette.types import Message, Receive, Scope, Send
 
 from api.problems import STATUS, status_of
 from api.routes.uploads import parse_checksum, parse_metadata
-from api.security import Gate, ReportLinks
+from api.security import Gate
+from api.sessions import Passes, ReportLinks
+from wibam_core.adapters.database import Database, sqlite_url
+from wibam_core.adapters.key_store import KeyStore
 from wibam_core.adapters.settings import token_digest
 from wibam_core.errors import ChecksumMismatch, InputError, MissingCamera, StageCrashed, Unauthorised, WibamError
 
@@ -31,7 +35,9 @@ class TestReportLinks:
 @pytest.mark.parametrize(
     ("path", "query", "status"), [("/v1/jobs/a\0b", b"", 404), ("/reports/x", b"signature=%00", 422)]
 )
-def test_a_nul_in_an_address_reaches_no_route(path: str, query: bytes, status: int) -> None:
+def test_a_nul_in_an_address_reaches_no_route(path: str, query: bytes, status: int, tmp_path: Path) -> None:
+    keys = KeyStore(Database(sqlite_url(tmp_path / "wibam.db")))
+
     async def no_route(scope: Scope, receive: Receive, send: Send) -> None:
         raise AssertionError("it came through")
 
@@ -45,7 +51,7 @@ def test_a_nul_in_an_address_reaches_no_route(path: str, query: bytes, status: i
 
     headers = [(b"authorization", b"Bearer t")]
     scope = {"type": "http", "method": "GET", "path": path, "query_string": query, "headers": headers}
-    asyncio.run(Gate(no_route, token_digest("t"))(scope, receive, send))
+    asyncio.run(Gate(no_route, token_digest("t"), Passes("s"), keys)(scope, receive, send))
     assert sent[0]["status"] == status
 
 

@@ -15,7 +15,7 @@ from typer.testing import CliRunner
 from tests.builders import AMBIGUOUS, corner_rig, site_of
 from tests.finished import finished_job
 from tests.service import TOKEN, LiveApi, live_api, settings_for
-from wibam_core.cli import jobs
+from wibam_core.cli import jobs, keys
 from wibam_core.cli.display import list_table, print_list
 from wibam_core.cli.sites import sites
 from wibam_core.cli.tracks import tracks
@@ -30,6 +30,7 @@ app.command()(upload)
 app.command()(tracks)
 app.command()(sites)
 app.add_typer(jobs.app, name="jobs")
+app.add_typer(keys.app, name="keys")
 
 
 @pytest.fixture(scope="module")
@@ -192,3 +193,17 @@ def test_tracks_are_written(api: LiveApi, job: str, tmp_path: Path) -> None:
     assert [len(track) for track in found] == [10, 10]
     wibam(api, "tracks", job, "--out", str(tmp_path / "t.csv"), "--class", "bus", "--min-speed", "0")
     assert (tmp_path / "t.csv").read_text().count("bus") == 50
+
+
+def test_keys_are_made_listed_and_revoked_and_changes_are_told(api: LiveApi) -> None:
+    made = wibam(api, "keys", "create", "the van", "--scope", "read", "--days", "2")
+    key_id, secret = made.split()[0], made.splitlines()[1].strip()
+    with WibamClient(api.url, secret) as client:
+        assert client.sites() == client.sites()
+    listed = wibam(api, "keys", "list")
+    assert key_id in listed
+    assert secret not in listed
+    assert "works no more" in wibam(api, "keys", "revoke", key_id)
+    with pytest.raises(Unauthorised), WibamClient(api.url, secret) as client:
+        client.sites()
+    assert "DELETE /v1/keys/" in wibam(api, "keys", "audit")

@@ -1,0 +1,70 @@
+"""Which scope a request needs, and who made it."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping
+from contextvars import ContextVar
+from dataclasses import dataclass
+from typing import Any, Final
+
+from wibam_core.jobs.access import Scope
+
+#: The API token, and a browser that has shown it: they may do everything.
+TOKEN: Final = "token"
+PAGE: Final = "page"
+#: A browser with a link to one job, which it may read.
+GUEST: Final = "guest"
+SAFE = ("GET", "HEAD")
+_ANY = ("GET", "HEAD", "POST", "PUT", "PATCH", "DELETE")
+#: The first line that fits decides; what fits none is the administrator's.
+_RULES: tuple[tuple[tuple[str, ...], str, Scope], ...] = (
+    (_ANY, r"/v1/(keys|audit|webhooks)(/.*)?", Scope.ADMIN),
+    (_ANY, r"/v1/uploads(/.*)?", Scope.UPLOAD),
+    (SAFE, r"/v1/.*", Scope.READ),
+    (_ANY, r"/v1/calibration/solve|/v1/(sites|jobs)/[^/]+/plan", Scope.READ),
+    (_ANY, r"/v1/jobs/[^/]+/labels/evaluate", Scope.RUN),
+    (_ANY, r"/v1/jobs/[^/]+/(labels|conflicts)/.*", Scope.UPLOAD),
+    (_ANY, r"/v1/(sites|cameras)/[^/]+/jobs|/v1/models/[^/]+/runs(/.*)?", Scope.RUN),
+    (_ANY, r"/v1/(sites|cameras)(/.*)?", Scope.UPLOAD),
+    (_ANY, r"/v1/(jobs|models|runs)(/.*)?", Scope.RUN),
+)
+_COMPILED = tuple((methods, re.compile(pattern), scope) for methods, pattern, scope in _RULES)
+
+
+def needed_scope(method: str, path: str) -> Scope:
+    """What a request under ``/v1/`` takes."""
+    for methods, pattern, scope in _COMPILED:
+        if method in methods and pattern.fullmatch(path):
+            return scope
+    return Scope.ADMIN
+
+
+@dataclass
+class Visit:
+    """What is known of a request.
+
+    Attributes:
+        request_id: names it in logs and problems.
+        who: `TOKEN`, `PAGE`, `GUEST` or a key's id; empty while unknown.
+    """
+
+    request_id: str
+    who: str = ""
+
+
+#: Of the request that is being answered; None outside of one.
+current_visit: ContextVar[Visit | None] = ContextVar("current_visit", default=None)
+_STATE = "wibam.visit"
+
+
+def begin_visit(scope: Any, visit: Visit) -> None:
+    """Tie what is known to a request (an ASGI scope), and to all that is done for it."""
+    scope[_STATE] = visit
+    current_visit.set(visit)
+
+
+def visit_of(scope: Mapping[str, Any]) -> Visit | None:
+    """What is known of a request."""
+    found: Visit | None = scope.get(_STATE)
+    return found
