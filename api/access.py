@@ -22,7 +22,7 @@ _RULES: tuple[tuple[tuple[str, ...], str, Scope], ...] = (
     (_ANY, r"/v1/(keys|audit|webhooks)(/.*)?", Scope.ADMIN),
     (_ANY, r"/v1/uploads(/.*)?", Scope.UPLOAD),
     (SAFE, r"/v1/.*", Scope.READ),
-    (_ANY, r"/v1/calibration/solve|/v1/(sites|jobs)/[^/]+/plan", Scope.READ),
+    (_ANY, r"/v1/calibration/.*|/v1/(sites|jobs)/[^/]+/plan", Scope.READ),
     (_ANY, r"/v1/jobs/[^/]+/labels/evaluate", Scope.RUN),
     (_ANY, r"/v1/jobs/[^/]+/(labels|conflicts)/.*", Scope.UPLOAD),
     (_ANY, r"/v1/(sites|cameras)/[^/]+/jobs|/v1/models/[^/]+/runs(/.*)?", Scope.RUN),

@@ -17,7 +17,7 @@ from wibam_core.adapters.audit_store import AuditStore
 REQUEST_ID = "X-Request-ID"
 _PLAIN = re.compile(r"[A-Za-z0-9._-]{1,64}")
 _PIECE_OF_AN_UPLOAD = re.compile(r"/v1/uploads/[^/]+")
-_NO_CHANGE = re.compile(r"/v1/calibration/solve|/v1/(sites|jobs)/[^/]+/plan")
+_NO_CHANGE = re.compile(r"/v1/calibration/.*|/v1/(sites|jobs)/[^/]+/plan")
 _log = logging.getLogger(__name__)
 
 
