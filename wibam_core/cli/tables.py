@@ -165,13 +165,14 @@ def _consistency_table(metrics: Metrics) -> Table:
         caption=f"No labels in the test part ({test_part(metrics)}): agreement between views, which says nothing about "
         "an error that all views share.",
     )
-    for title in ("", "IoU in the other views", "IoU in its own view", "found"):
+    for title in ("", "found", "IoU in the other views", "IoU in its own view", "pairs"):
         table.add_column(title, justify="left" if not title else "right")
     for name, title in NETWORKS.items():
         if name in metrics.self_consistency:
             value = metrics.self_consistency[name]
             found = "–" if value.found is None else f"{value.found:.2f}"
-            table.add_row(title, _cell(value.other_views, 2), _cell(value.own_view, 2), found)
+            agreement = (_cell(value.other_views, 2), _cell(value.own_view, 2), str(value.pairs))
+            table.add_row(title, found, *agreement)
     return table
 
 

@@ -117,10 +117,16 @@ def _without_labels(metrics: Metrics) -> list[str]:
     given, test = metrics.labelled_instants.given, test_part(metrics)
     missing = f"None of the {given} labelled instants lies in" if given else "There are no labels for"
     sentences = [f"{missing} the test part ({test}), so nothing here says how right the boxes are."]
+    if before is not None and after is not None and None not in (before.found, after.found):
+        sentences.append(
+            "Of the sightings of vehicles that several views show, the network finds "
+            f"{_two(before.found)} before and {_two(after.found)} after fine-tuning."
+        )
     if before is not None and after is not None and None not in (before.other_views.mean, after.other_views.mean):
         sentences.append(
-            "Boxes predicted in one view, drawn into the other views, overlap what was detected there by an IoU of "
-            f"{_two(before.other_views.mean)} before and {_two(after.other_views.mean)} after fine-tuning."
+            "Where it finds them, its boxes, drawn into the other views, overlap what was detected there by an IoU of "
+            f"{_two(before.other_views.mean)} before ({before.pairs} pairs) and {_two(after.other_views.mean)} after "
+            f"({after.pairs} pairs)."
         )
     sentences.append(
         "That shows whether the views agree, not whether they are right: label some instants of the test part to know. "

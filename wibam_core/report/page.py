@@ -126,11 +126,11 @@ def _consistency(metrics: Metrics) -> tuple[tuple[str, ...], ...]:
     return tuple(
         (
             title,
+            number(value.found, 2),
             mean_sd(value.other_views),
             mean_sd(value.own_view),
             mean_sd(value.roughness_m),
             str(value.pairs),
-            number(value.found, 2),
         )
         for name, title in NETWORKS.items()
         if (value := metrics.self_consistency.get(name)) is not None
@@ -175,11 +175,19 @@ def _tiles(data: ReportData) -> tuple[Tile, ...]:
             Tile("vehicles found", percent(after.recall.mean), percent(before.recall.mean)),
         ]
     else:
-        agreement = {name: value.other_views.mean for name, value in data.metrics.self_consistency.items()}
+        before_found, after_found = (_of_views(data.metrics, name)[0] for name in ("baseline", "finetuned"))
+        before_iou, after_iou = (_of_views(data.metrics, name)[1] for name in ("baseline", "finetuned"))
         quality = [
-            Tile("agreement of views", number(agreement.get("finetuned"), 2), number(agreement.get("baseline"), 2))
+            Tile("found of what several views see", percent(after_found), percent(before_found)),
+            Tile("agreement of views where found", number(after_iou, 2), number(before_iou, 2)),
         ]
     return (*quality, Tile("tracks", str(len(data.tracks))), Tile("conflicts", str(len(data.conflicts))))
+
+
+def _of_views(metrics: Metrics, name: str) -> tuple[float | None, float | None]:
+    """Share of the sightings that a network finds, and their mean overlap in the other views."""
+    value = metrics.self_consistency.get(name)
+    return (None, None) if value is None else (value.found, value.other_views.mean)
 
 
 def _contents(pictures: Pictures) -> tuple[tuple[str, str], ...]:

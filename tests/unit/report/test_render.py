@@ -110,6 +110,9 @@ def test_clocks_that_were_taken_to_be_one_are_said_to_be(page):
 def test_without_labels_there_is_no_accuracy_but_agreement(page):
     bare = text_alone()
     assert "There are no labels for the test part" in bare
+    # the overlap is of what is found, so that it says little before the share that is
+    assert bare.index("found of what several views see") < bare.index("agreement of views where found")
+    assert "90 %" in bare and "30 %" in bare
     assert 'class="results"' not in bare and "thin white lines are labels" not in bare
     assert "0.71 ± 0.20" in bare
     assert 'class="results"' in page and "thin white lines are labels" in page

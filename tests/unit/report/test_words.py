@@ -119,7 +119,8 @@ def test_advice_sees_a_gain_that_loses_vehicles():
 
 def test_advice_without_labels_claims_no_accuracy():
     text = " ".join(advice(Metrics.model_validate(metrics_json(labels=False))))
-    assert "no labels" in text and "0.42 before and 0.71 after" in text
+    assert "no labels" in text and "0.42 before (900 pairs) and 0.71 after" in text
+    assert text.index("0.30 before and 0.90 after") < text.index("0.42 before")
     assert "use the fine-tuned weights" not in text
 
 

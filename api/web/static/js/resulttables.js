@@ -57,9 +57,9 @@ function change(test, digits, lessIsBetter) {
 /** Agreement with the other views, which needs no labels. @param {any} metrics */
 export function selfConsistency(metrics) {
   const of = Object.entries(metrics.self_consistency);
-  return table("Self-consistency", ["", "IoU in other views", "IoU in own view", "Roughness, m", "Sightings found", "Pairs"],
-    of.map(([name, value]) => [name, value.other_views.mean, value.own_view.mean, value.roughness_m.mean, value.found, value.pairs]),
-    { cells: of.map(([name, value]) => [NETWORKS.find(([known]) => known === name)?.[1] ?? name, meanSd(value.other_views), meanSd(value.own_view), meanSd(value.roughness_m), percent(value.found), value.pairs]),
+  return table("Self-consistency", ["", "Sightings found", "IoU in other views, where found", "IoU in own view", "Roughness, m", "Pairs"],
+    of.map(([name, value]) => [name, value.found, value.other_views.mean, value.own_view.mean, value.roughness_m.mean, value.pairs]),
+    { cells: of.map(([name, value]) => [NETWORKS.find(([known]) => known === name)?.[1] ?? name, percent(value.found), meanSd(value.other_views), meanSd(value.own_view), meanSd(value.roughness_m), value.pairs]),
       note: "Boxes against the 2D boxes of views that they were not made in; no labels are needed." });
 }
 
