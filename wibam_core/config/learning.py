@@ -32,7 +32,16 @@ class LiftConfig(StageConfig):
         2, ge=2, le=32, description="cameras that must see a vehicle at an instant for it to be fitted"
     )
     iterations: int = Field(50, ge=5, le=1000, description="most Gauss-Newton steps of a fit")
-    max_residual: float = Field(0.2, gt=0, le=2, description="fits with a larger mean 1 - GIoU are not trained on")
+    max_residual: float = Field(
+        0.2, gt=0, le=2, description="fits with a larger mean 1 - GIoU are not trained on, but see max_usual_residuals"
+    )
+    max_usual_residuals: float = Field(
+        2.0,
+        ge=0,
+        le=100,
+        description="fits are trained on, too, whose residual is at most so many times the median of the recording's"
+        " fits to several views: where cameras disagree by their calibration, all residuals are larger; 0: never",
+    )
     few_views_sightings: int = Field(
         5,
         ge=2,

@@ -114,6 +114,8 @@ class LiftStatistics(Document):
     """Fits that are good enough to train on."""
     tracks: int
     kept_share: float | None = None
+    residual_limit: float | None = None
+    """Largest residual of those."""
     edge_noise: float | None = None
     """How much noisier edges are than stated."""
     edge_persistence: float | None = None

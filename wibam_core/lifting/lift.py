@@ -165,12 +165,29 @@ def lift(
     residual = _residuals(second, seen)
     boxes = _boxes(parameters)
     boxes[:, XY] = tracks.scatter(motion.position, boxes[:, XY].copy()) + origin
-    scores = confidence(residual, views, sd, boxes, config.max_residual)
+    limit = residual_limit(residual, views, config)
+    scores = confidence(residual, views, sd, boxes, limit)
     certain = np.hypot(sd[:, X], sd[:, Y]) <= config.few_views_sd_m
-    keep = (residual <= config.max_residual) & ((views >= config.min_views) | certain)
+    keep = (residual <= limit) & ((views >= config.min_views) | certain)
     vehicles = _by_instant(instants, seen, keep, boxes, _box_sd(sd, boxes), scores)
     progress(1.0, "lifted")
-    return LiftResult(vehicles, _statistics(seen, residual, keep, noise, lasting, shapes))
+    return LiftResult(vehicles, _statistics(seen, residual, keep, noise, lasting, shapes, limit))
+
+
+def residual_limit(residual: FloatArray, views: FloatArray, config: LiftConfig) -> float:
+    """Largest residual of a fit that is kept.
+
+    It is at least ``config.max_residual``. Where cameras are calibrated less exactly, no fit agrees with all of them,
+    and one is odd only beside the others.
+
+    Args:
+        residual: (N,) mean 1 − GIoU.
+        views: (N,) number of views; fits to several tell what is usual.
+        config: the limits.
+    """
+    several = residual[views >= config.min_views]
+    usual = float(np.median(several)) if len(several) else 0.0
+    return max(config.max_residual, config.max_usual_residuals * usual)
 
 
 def moved(camera: Camera, shift_m: FloatArray) -> Camera:
@@ -319,6 +336,7 @@ def _statistics(
     noise: float,
     lasting: float,
     shapes: Shapes,
+    limit: float | None = None,
 ) -> LiftStatistics:
     if residual is None or keep is None:
         return LiftStatistics(fits=0, kept=0, tracks=0)
@@ -328,6 +346,7 @@ def _statistics(
         kept=int(keep.sum()),
         tracks=len(np.unique(seen.tracks)),
         kept_share=float(keep.mean()),
+        residual_limit=limit,
         edge_noise=noise,
         edge_persistence=lasting,
         bodies=shapes.statistics(),

@@ -13,7 +13,7 @@ from wibam_core.association.rays import rig_centre
 from wibam_core.config import AssociateConfig, LiftConfig
 from wibam_core.geometry.iou import bev_iou_paired
 from wibam_core.geometry.se3 import SE3
-from wibam_core.lifting.lift import LiftResult, lift
+from wibam_core.lifting.lift import LiftResult, lift, residual_limit
 from wibam_core.lifting.sizes import track_sizes
 from wibam_core.lifting.trajectory import Tracks
 from wibam_core.scene import AnnotatedInstant, CameraRig, Vehicles3D
@@ -183,9 +183,18 @@ def test_what_one_camera_alone_sees_all_the_time_is_lifted_too() -> None:
 
 def test_a_residual_limit_leaves_fits_out() -> None:
     scene = crossing()
-    strict = lift(scene.instants, scene.rig, LiftConfig(max_residual=0.04))
+    strict = lift(scene.instants, scene.rig, LiftConfig(max_residual=0.04, max_usual_residuals=0.0))
     assert strict.statistics.kept == sum(len(v) for v in strict.vehicles)
     assert strict.statistics.kept < lifted(True).statistics.kept
+
+
+def test_where_all_fits_disagree_with_the_cameras_only_odd_ones_are_left_out() -> None:
+    views = np.array([2.0, 3.0, 4.0, 2.0, 3.0, 1.0])
+    exact, off = np.array([0.02, 0.03, 0.05, 0.04, 0.3, 0.0]), np.array([0.2, 0.25, 0.3, 0.22, 0.9, 0.0])
+    assert residual_limit(exact, views, LiftConfig()) == 0.2
+    assert residual_limit(off, views, LiftConfig()) == pytest.approx(0.5)
+    assert residual_limit(off, views, LiftConfig(max_usual_residuals=0.0)) == 0.2
+    assert residual_limit(off[5:], views[5:], LiftConfig()) == 0.2
 
 
 def test_it_is_deterministic() -> None:
