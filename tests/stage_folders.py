@@ -10,7 +10,7 @@ from wibam_core.artifacts import catalogue
 from wibam_core.artifacts.access import MANIFEST, ArtifactReader, ArtifactWriter
 from wibam_core.artifacts.artifact import Artifact
 from wibam_core.artifacts.catalogue import made_by
-from wibam_core.config import FinetuneConfig
+from wibam_core.config import FinetuneConfig, StageConfig
 from wibam_core.detection.instants import annotated, by_frame
 from wibam_core.documents.manifest import Manifest
 from wibam_core.documents.warnings import StageWarning
@@ -49,6 +49,7 @@ class StageFolders:
         searched, detected = by_frame(instants)
         self.give(catalogue.SEARCHED_INSTANTS, searched)
         self.give(catalogue.DETECTIONS, detected)
+        self.give(catalogue.ROUND_DETECTIONS, detected)
 
     def detected(self) -> list[AnnotatedInstant]:
         """The instants with the 2D boxes that were detected at them."""
@@ -76,6 +77,7 @@ class StageFolders:
         progress: Progress = silent,
         checked_options: FinetuneConfig | None = None,
         earlier: Sequence[ArtifactReader] = (),
+        others: Sequence[StageConfig] = (),
     ) -> StageContext:
         """What the stage would be given; it reads and writes here."""
         spec = STAGES[stage]
@@ -93,4 +95,5 @@ class StageFolders:
             self.warnings.append,
             checked_options,
             tuple(earlier),
+            tuple(others),
         )

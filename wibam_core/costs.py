@@ -17,7 +17,9 @@ from wibam_core.site import Site
 #: Widest image that a network sees unless it is told otherwise, px, and its pixels per width: most footage is 16:9.
 _NETWORK_WIDTH_PX, _HEIGHT_SHARE = 640, 9 / 16
 #: Work that cores share: the others run on one.
-_SHARED = frozenset({"sync", "frames", "detect", "finetune", "predict", "evaluate"})
+_SHARED = frozenset({"sync", "frames", "detect", "rounds", "finetune", "predict", "evaluate"})
+#: Pixels of the windows that a round teaches by, as a share of the images'.
+_WINDOWS = 0.16
 #: The work of sharing, as a share of a core that is lost for each further one.
 _LOST_SHARE = 0.15
 #: That all goes as expected counts as much as stages that are so large a share of the whole.
@@ -103,6 +105,8 @@ def _cpu_s(footage: Footage, config: PipelineConfig, bfloat16: bool) -> dict[str
     # which of the lights and the traffic "auto" needs depends on what they show
     asks_traffic = {"traffic": 1.0, "both": 1.0, "auto": 0.5 if footage.has_signals else 1.0}.get(config.sync.method, 0)
     image = 0.035 * network / 0.23  # the 3D network and its second look, an image
+    fitting = 14.0 * minutes * footage.cameras / 4  # associated, fitted, and fitted again without each camera
+    teaching = 3.0 + (0.056 if bfloat16 else 0.21) * _WINDOWS * 8 * config.rounds.steps
     return {
         "preflight": 1.0 + 1e-4 * footage.frames,
         "calibrate": 1.0,
@@ -112,6 +116,7 @@ def _cpu_s(footage: Footage, config: PipelineConfig, bfloat16: bool) -> dict[str
         "frames": 1.0 + decoding + 0.012 * footage.stored_megapixels * stored,
         "detect": 2.0 + (0.0125 + decoded_jpeg) * searched + (config.detect.refine != "off") * 0.035 * searched,
         "refine": 3.0,
+        "rounds": 1.0 + config.rounds.most * (fitting + teaching + (image + decoded_jpeg + 0.04) * searched),
         "associate": 1.0 + 2.0 * minutes * footage.cameras / 4,
         "dataset": 1.5,
         "lift": 2.0 + 6.0 * minutes * footage.cameras / 4,

@@ -14,6 +14,7 @@ from wibam_core.documents.curves import Curves
 from wibam_core.documents.metrics import Metrics
 from wibam_core.documents.recordings import Limits, Probe
 from wibam_core.documents.refinement import Refinement
+from wibam_core.documents.rounds import Rounds
 from wibam_core.documents.split import Split
 from wibam_core.documents.statistics import (
     AssociationStatistics,
@@ -87,6 +88,15 @@ RIG: Final = Artifact("rig", "refine", "rig.json", "The cameras as they are used
 REFINEMENT: Final = Artifact(
     "refinement", "refine", "refinement.json", "What the traffic says of the cameras", document(Refinement)
 )
+ROUND_DETECTIONS: Final = Artifact(
+    "round-detections",
+    "rounds",
+    "detections.parquet",
+    "2D boxes by frame, after all rounds",
+    _DETECTIONS,
+    version=2,
+)
+ROUNDS: Final = Artifact("rounds", "rounds", "rounds.json", "What each round gained", document(Rounds))
 ANNOTATIONS: Final = Artifact(
     "annotations",
     "associate",

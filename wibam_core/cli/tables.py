@@ -17,9 +17,11 @@ from wibam_core.artifacts.artifact import Artifact
 from wibam_core.documents.base import MeanSd
 from wibam_core.documents.conflicts import ConflictRow, Conflicts
 from wibam_core.documents.metrics import DetectorFigures, Metrics, Significance
+from wibam_core.documents.rounds import Rounds
 from wibam_core.geometry.box3d import SIZE, XY
 from wibam_core.report.advice import test_part
 from wibam_core.report.results import NETWORKS, compared
+from wibam_core.report.rounds import ROUND_TITLES, round_rows
 from wibam_core.scene import Track
 
 _COLUMNS = (
@@ -41,6 +43,9 @@ def print_results(console: Console, outputs: ArtifactReader) -> None:
         outputs: of all its stages.
     """
     tracks = outputs.read(catalogue.TRACKS)
+    rounds = rounds_table(outputs.read(catalogue.ROUNDS))
+    if rounds is not None:
+        console.print(rounds)
     print_tables(console, outputs.read(catalogue.METRICS), tracks, outputs.read(catalogue.CONFLICTS))
     for name, path in result_paths(outputs).items():
         console.print(f"{name:<8} {escape(str(path))}", highlight=False, soft_wrap=True)
@@ -70,6 +75,20 @@ def print_tables(console: Console, metrics: Metrics, tracks: Sequence[Track], co
         console.print(published)
     console.print(tracks_table(tracks))
     console.print(conflicts_table(conflicts.conflicts))
+
+
+def rounds_table(rounds: Rounds) -> Table | None:
+    """What each round found; None without rounds."""
+    rows = round_rows(rounds)
+    if not rows:
+        return None
+    table = Table(title="Rounds of finding and teaching", title_justify="left", caption=rounds.reason)
+    table.add_column("round")
+    for title in ROUND_TITLES:
+        table.add_column(title, justify="right")
+    for row in rows:
+        table.add_row(*row)
+    return table
 
 
 def before_after_table(metrics: Metrics) -> Table:

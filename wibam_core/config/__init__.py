@@ -11,6 +11,7 @@ from wibam_core.config.learning import (
 )
 from wibam_core.config.pipeline import PipelineConfig
 from wibam_core.config.recordings import CalibrateConfig, FramesConfig, PreflightConfig, SyncConfig
+from wibam_core.config.rounds import RoundsConfig
 from wibam_core.config.traffic import ReportConfig, SafetyConfig, TrackConfig
 from wibam_core.config.vehicles import AssociateConfig, DetectConfig, RefineConfig
 
@@ -29,6 +30,7 @@ __all__ = [
     "PreflightConfig",
     "RefineConfig",
     "ReportConfig",
+    "RoundsConfig",
     "SafetyConfig",
     "StageConfig",
     "SyncConfig",

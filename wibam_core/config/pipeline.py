@@ -9,6 +9,7 @@ import pydantic
 
 from wibam_core.config import learning, recordings, traffic, vehicles
 from wibam_core.config.base import StageConfig
+from wibam_core.config.rounds import RoundsConfig
 from wibam_core.errors import InvalidOption, UnknownOption
 
 
@@ -21,6 +22,7 @@ class PipelineConfig(StageConfig):
     frames: recordings.FramesConfig = recordings.FramesConfig()
     detect: vehicles.DetectConfig = vehicles.DetectConfig()
     refine: vehicles.RefineConfig = vehicles.RefineConfig()
+    rounds: RoundsConfig = RoundsConfig()
     associate: vehicles.AssociateConfig = vehicles.AssociateConfig()
     dataset: learning.DatasetConfig = learning.DatasetConfig()
     lift: learning.LiftConfig = learning.LiftConfig()

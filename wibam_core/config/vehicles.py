@@ -16,6 +16,13 @@ class DetectConfig(StageConfig):
     rate_hz: float = Field(6.25, gt=0, le=120, description="instants per second that are searched for vehicles")
     min_score: float = Field(0.3, gt=0, lt=1, description="weaker boxes are left out")
     nms_iou: float = Field(0.6, gt=0, lt=1, description="of two boxes that overlap more (IoU), the weaker is left out")
+    tiles: int = Field(
+        1,
+        ge=1,
+        le=4,
+        description="beside the whole image, look at so many times so many overlapping parts of it, for detectors that"
+        " overlook what is small; with 3, detection takes ten times as long",
+    )
     refine: Literal["auto", "on", "off"] = Field(
         "auto",
         description="look at every box again beside the still background of its camera, which must not move, for"

@@ -55,9 +55,7 @@ def spans(length_px: int, count: int) -> list[tuple[int, int]]:
     return [(int(start), int(start) + size) for start in starts]
 
 
-def _cut(
-    boxes: NDArray[np.float64], tile: tuple[int, int, int, int], size: tuple[int, int]
-) -> NDArray[np.bool_]:
+def _cut(boxes: NDArray[np.float64], tile: tuple[int, int, int, int], size: tuple[int, int]) -> NDArray[np.bool_]:
     """(N,) whether a border of a tile that is none of the image cuts boxes (N, 4), px of the tile."""
     x0, y0, x1, y1 = tile
     width, height = size

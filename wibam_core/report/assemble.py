@@ -96,6 +96,7 @@ def assemble(
         synchronisation=_synchronisation(inputs.read(catalogue.CHANGES)),
         calibration=_calibration(inputs.read(catalogue.RESIDUALS)),
         dataset=_dataset(inputs),
+        rounds=inputs.read(catalogue.ROUNDS),
         training=_training(
             inputs.read(catalogue.CURVES),
             read_card(inputs.read(catalogue.WEIGHTS)),

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from wibam_core.documents.conflicts import ConflictRow
 from wibam_core.documents.metrics import Metrics
+from wibam_core.documents.rounds import Rounds
 from wibam_core.documents.statistics import SubsetStatistics
 from wibam_core.documents.warnings import StageWarning
 from wibam_core.geometry.camera import Camera
@@ -170,6 +171,7 @@ class ReportData:
     synchronisation: Synchronisation
     calibration: tuple[CalibrationRow, ...]
     dataset: Dataset
+    rounds: Rounds
     training: Training
     metrics: Metrics
     tracks: tuple[Track, ...]

@@ -13,6 +13,7 @@ from wibam_core.report.advice import advice
 from wibam_core.report.data import Dataset, ReportData
 from wibam_core.report.pictures import MAX_CONFLICTS, Picture, Pictures
 from wibam_core.report.results import NETWORKS, ResultRow, compared, result_rows, z_tests
+from wibam_core.report.rounds import ROUND_TITLES, round_rows, rounds_text
 from wibam_core.report.words import NONE, braking, interval, mean_sd, number, percent, signed
 from wibam_core.safety.measures import MEASURES
 
@@ -70,6 +71,9 @@ class Page:
     clocks: tuple[tuple[str, ...], ...]
     zones: tuple[str, ...]
     calibration: tuple[tuple[str, ...], ...]
+    rounds_text: str
+    round_titles: tuple[str, ...]
+    rounds: tuple[tuple[str, ...], ...]
     dataset_text: str
     subsets: tuple[tuple[str, ...], ...]
     training_facts: tuple[tuple[str, str], ...]
@@ -113,6 +117,9 @@ def build_page(data: ReportData, pictures: Pictures) -> Page:
         clocks=_clocks(data),
         zones=tuple(f"{low:g}–{high:g} m" for low, high in _zones(data)),
         calibration=_calibration(data),
+        rounds_text=rounds_text(data.rounds),
+        round_titles=ROUND_TITLES,
+        rounds=round_rows(data.rounds),
         dataset_text=_dataset_text(data.dataset),
         subsets=tuple(_subset(name, part) for name, part in data.dataset.subsets.items()),
         training_facts=data.training.facts,

@@ -7,9 +7,9 @@ import numpy as np
 from wibam_core.artifacts.catalogue import (
     ANNOTATIONS,
     ASSOCIATION_STATISTICS,
-    DETECTIONS,
     REFINEMENT,
     RIG,
+    ROUND_DETECTIONS,
     SEARCHED_INSTANTS,
 )
 from wibam_core.association.associate import associate, association_statistics
@@ -30,7 +30,7 @@ def run(context: StageContext, config: AssociateConfig) -> Summary:
         NoVehicles: no box lies on the ground within range.
         NoMultiViewVehicles: no two boxes of different cameras meet on the ground.
     """
-    searched, detected = context.read(SEARCHED_INSTANTS), context.read(DETECTIONS)
+    searched, detected = context.read(SEARCHED_INSTANTS), context.read(ROUND_DETECTIONS)
     rig, seen = context.read(RIG), annotated(searched, detected)
     context.warn(*size_cautions(seen, rig))
     poses = {name: np.array(matrix) for name, matrix in context.read(REFINEMENT).covariances.items()}

@@ -9,7 +9,7 @@ from typing import Any, TypeVar
 
 from wibam_core.artifacts.access import ArtifactReader, ArtifactWriter
 from wibam_core.artifacts.artifact import Artifact
-from wibam_core.config import FinetuneConfig
+from wibam_core.config import FinetuneConfig, StageConfig
 from wibam_core.documents.warnings import Caution, StageWarning
 from wibam_core.progress import Progress
 from wibam_core.site import Site
@@ -22,6 +22,7 @@ Summary = dict[str, Any]
 WarningListener = Callable[[StageWarning], None]
 
 T = TypeVar("T")
+Options = TypeVar("Options", bound=StageConfig)
 
 
 @dataclass(frozen=True)
@@ -41,6 +42,7 @@ class StageContext:
         checked_options: options of fine-tuning that the site's own network must be able to do; None: not here.
         earlier: what this stage made before, of a stage that works frame by frame, where what it makes of a frame was
             the same; the newest first. Each may vanish while it is read, and changes no output: only what it costs.
+        others: options of other stages that it uses, too; see `options_of`.
     """
 
     stage: str
@@ -54,11 +56,16 @@ class StageContext:
     warned: WarningListener
     checked_options: FinetuneConfig | None = None
     earlier: tuple[ArtifactReader, ...] = ()
+    others: tuple[StageConfig, ...] = ()
 
     def warn(self, *cautions: Caution) -> None:
         """Say what makes the result doubtful: to the log, the job, the terminal and the top of the report."""
         for caution in cautions:
             self.warned(StageWarning(stage=self.stage, **caution.model_dump()))
+
+    def options_of(self, kind: type[Options]) -> Options:
+        """Options of another stage that this one was given, by their type."""
+        return next(options for options in self.others if isinstance(options, kind))
 
     def read(self, artifact: Artifact[T]) -> T:
         """An artifact of a stage before."""

@@ -21,19 +21,19 @@ from wibam_core.artifacts.catalogue import (
     TIMESTAMPS,
 )
 from wibam_core.config import DetectConfig
-from wibam_core.detection.background import BackgroundFrames
 from wibam_core.detection.boxes import Image
 from wibam_core.detection.detector import BUNDLED, load_detector
 from wibam_core.detection.family import Detector
 from wibam_core.detection.instants import annotated, frames_of
 from wibam_core.detection.one_per_camera import seen_once
+from wibam_core.detection.second_look import FirstLook, background_frames, backgrounds_shown, look_again
 from wibam_core.detection.statistics import detection_statistics
+from wibam_core.detection.tiles import TiledDetector
 from wibam_core.errors import InputError, NoVehicles
 from wibam_core.formats.framestore import FrameStore
 from wibam_core.progress import Progress, part
 from wibam_core.scene import Boxes2D, FrameKey
 from wibam_core.stages.base import StageContext, Summary
-from wibam_core.stages.second_look import FirstLook, background_frames, look_again
 
 #: Frames that are in work at one time.
 _CHUNK = 64
@@ -60,14 +60,7 @@ def run(context: StageContext, config: DetectConfig) -> Summary:
     shown, of_backgrounds = {}, []
     if refined:
         times_ns = context.read(TIMESTAMPS)
-        shown = {
-            camera_id: BackgroundFrames(
-                times_ns[camera_id if rig is None else rig.mounted_id(camera_id)],
-                store.stored_ns(camera_id),
-                config.background_s,
-            )
-            for camera_id in store.camera_ids
-        }
+        shown = backgrounds_shown(store, times_ns, config.background_s, rig)
         of_backgrounds = background_frames(frames, shown)
     known = _known(context, DETECTIONS, frames)
     looks = _known(context, BACKGROUND_DETECTIONS, of_backgrounds)
@@ -114,7 +107,8 @@ def _known(
 
 def _detector(context: StageContext, config: DetectConfig) -> Detector:
     path = context.assets["detector"] if config.detector == "custom" else BUNDLED
-    return load_detector(path, min_score=config.min_score, nms_iou=config.nms_iou)
+    detector = load_detector(path, min_score=config.min_score, nms_iou=config.nms_iou)
+    return detector if config.tiles == 1 else TiledDetector(detector, config.tiles, config.nms_iou)
 
 
 def _search_all(

@@ -109,6 +109,7 @@ class StageRequest(BaseModel):
             warned,
             STAGES[self.stage].checked_options(self.config),
             tuple(ArtifactReader({self.stage: folder}) for folder in self.earlier),
+            STAGES[self.stage].other_options(self.config),
         )
 
 

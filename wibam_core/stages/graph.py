@@ -63,6 +63,15 @@ def _of_network(config: PipelineConfig) -> FinetuneConfig | None:
     )
 
 
+def _of_rounds(config: PipelineConfig) -> tuple[StageConfig, ...]:
+    """What a round goes through, where there is one."""
+    return (config.detect, config.associate, config.dataset, config.lift) if config.rounds.most else ()
+
+
+def _no_others(config: PipelineConfig) -> tuple[StageConfig, ...]:
+    return ()
+
+
 @dataclass(frozen=True)
 class FrameByFrame:
     """That a stage makes something of each frame by itself, so that it can be copied where it was made before.
@@ -92,6 +101,7 @@ class StageSpec:
             that it writes.
         checked_options: those of fine-tuning that it checks the site's own network against; what it writes is the same
             for all.
+        other_options: those of other stages that it uses, too.
         frame_by_frame: how it works on single frames; None where it does not.
     """
 
@@ -103,6 +113,7 @@ class StageSpec:
     assets: tuple[str, ...] = ()
     asset_checks: frozenset[str] = frozenset()
     checked_options: Callable[[PipelineConfig], FinetuneConfig | None] = _no_options
+    other_options: Callable[[PipelineConfig], tuple[StageConfig, ...]] = _no_others
     frame_by_frame: FrameByFrame | None = None
     reads_if_wide: tuple[Artifact[Any], ...] = ()
 
@@ -179,9 +190,22 @@ _SPECS = (
         (catalogue.CALIBRATED_RIG, catalogue.RESIDUALS, catalogue.DETECTIONS, catalogue.SEARCHED_INSTANTS),
     ),
     StageSpec(
+        "rounds",
+        "Find, fit, teach, and find again",
+        (
+            catalogue.TIMESTAMPS,
+            catalogue.FRAMES,
+            catalogue.RIG,
+            catalogue.REFINEMENT,
+            catalogue.DETECTIONS,
+            catalogue.SEARCHED_INSTANTS,
+        ),
+        other_options=_of_rounds,
+    ),
+    StageSpec(
         "associate",
         "Associate views and link over time",
-        (catalogue.RIG, catalogue.REFINEMENT, catalogue.DETECTIONS, catalogue.SEARCHED_INSTANTS),
+        (catalogue.RIG, catalogue.REFINEMENT, catalogue.ROUND_DETECTIONS, catalogue.SEARCHED_INSTANTS),
     ),
     StageSpec("dataset", "Split in time", (catalogue.RIG, catalogue.ANNOTATIONS)),
     StageSpec("lift", "Fit 7DoF boxes to all views", (catalogue.RIG, catalogue.ANNOTATIONS, catalogue.SPLIT)),
@@ -225,6 +249,7 @@ _SPECS = (
             catalogue.RESIDUALS,
             catalogue.FRAMES,
             catalogue.DETECTION_STATISTICS,
+            catalogue.ROUNDS,
             catalogue.ANNOTATIONS,
             catalogue.ASSOCIATION_STATISTICS,
             catalogue.SPLIT,
@@ -300,6 +325,7 @@ def plan(site: Site, config: PipelineConfig, inputs: InputDigests) -> tuple[Plan
             "writes": {artifact.name: artifact.version for artifact in spec.writes},
             "options": spec.config(config).model_dump(),
             "checked": None if checked is None else checked.model_dump(),
+            "other_options": [options.model_dump() for options in spec.other_options(config)],
             "site": spec.site_part(site),
             "recordings": dict(inputs.recordings) if spec.reads_recordings else None,
             "assets": {name: inputs.assets[name] for name in spec.assets_read(config) if name in inputs.assets},

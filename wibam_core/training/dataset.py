@@ -10,21 +10,18 @@ import numpy as np
 from numpy.typing import NDArray
 
 from wibam_core.formats.framestore import FrameStore
-from wibam_core.geometry.box3d import XY, YAW
 from wibam_core.geometry.pixels import resized_px, scale_of
 from wibam_core.models.frames import INPUT_WIDTH_PX, prepare_camera, prepare_image
 from wibam_core.models.trunk import INPUT_MULTIPLE
 from wibam_core.road_users import RoadUserClass
 from wibam_core.scene import AnnotatedInstant, CameraRig, Detections2D, MultiViewVehicle, Vehicles3D
+from wibam_core.training.fits import FitsByTrack
 from wibam_core.training.overlooked import overlooked
 from wibam_core.training.teachable import without
 from wibam_core.training.views import FloatArray, LabelledView
 
 #: Pseudo-labels whose heading is less certain than this do not tell front from rear.
 FRONT_SD_RAD = 1.0
-
-#: A track's velocity is taken from instants at most this far apart.
-_VELOCITY_SPAN_NS = 2_000_000_000
 
 _NO_IMAGE = np.zeros((0, 0, 3), np.uint8)
 
@@ -94,7 +91,7 @@ def site_views(
     """
     prepared = {camera_id: prepare_camera(camera, input_width_px) for camera_id, camera in rig.items()}
     scales = {camera_id: scale_of(rig[camera_id].size_px, camera.size_px, 4) for camera_id, camera in prepared.items()}
-    fits = _Fits(lifts)
+    fits = FitsByTrack(lifts)
     views: list[SiteView] = []
     for instant in sorted(instants, key=lambda one: one.time_ns):
         instant, set_aside = _set_aside(instant, left_out_tracks)
@@ -144,7 +141,7 @@ def _set_aside(instant: AnnotatedInstant, tracks: frozenset[int]) -> tuple[Annot
 
 
 def _pseudo_labels3d(
-    seen: Detections2D, vehicles: Sequence[MultiViewVehicle], fits: _Fits, time_ns: int
+    seen: Detections2D, vehicles: Sequence[MultiViewVehicle], fits: FitsByTrack, time_ns: int
 ) -> dict[str, NDArray]:
     boxes3d = np.full((len(seen), 7), np.nan)
     confidence = np.zeros(len(seen))
@@ -162,7 +159,7 @@ def _pseudo_labels3d(
 
 def _completed(
     pseudo_labels: LabelledView,
-    fits: _Fits,
+    fits: FitsByTrack,
     time_ns: int,
     exposed_ns: int,
     found: Set[int],
@@ -211,57 +208,6 @@ def _others(
         np.array([pair[1] for pair in pairs], dtype=np.int64),
         np.array([pair[2] for pair in pairs], dtype=np.float64).reshape(-1, 4),
     )
-
-
-@dataclass(frozen=True, eq=False)
-class _Fit:
-    box: FloatArray
-    vehicle_class: int
-    confidence: float
-    yaw_sd_rad: float
-
-
-class _Fits:
-    """Fits by track and instant."""
-
-    def __init__(self, lifts: Sequence[Vehicles3D]) -> None:
-        self._tracks: dict[int, dict[int, _Fit]] = {}
-        self._tracks_at: dict[int, list[int]] = {}
-        for vehicles in sorted(lifts, key=lambda one: one.time_ns):
-            for row, track in enumerate(vehicles.ids.tolist()):
-                kind, score, yaw_sd = vehicles.classes[row], vehicles.scores[row], vehicles.sd[row, YAW]
-                fit = _Fit(vehicles.boxes[row], int(kind), float(score), float(yaw_sd))
-                self._tracks.setdefault(track, {})[vehicles.time_ns] = fit
-                self._tracks_at.setdefault(vehicles.time_ns, []).append(track)
-
-    def find(self, track: int, time_ns: int) -> _Fit | None:
-        return self._tracks.get(track, {}).get(time_ns)
-
-    def of(self, track: int, time_ns: int) -> _Fit:
-        """Of a track that has one at the instant."""
-        return self._tracks[track][time_ns]
-
-    def tracks_at(self, time_ns: int) -> list[int]:
-        """The tracks that have a fit at the instant."""
-        return self._tracks_at.get(time_ns, [])
-
-    def box_at(self, track: int, time_ns: int, exposed_ns: int) -> FloatArray:
-        """(7,) the fit of the instant, moved to where the vehicle is when a frame is exposed."""
-        box = self.of(track, time_ns).box.copy()
-        box[XY] += self._velocity_mps(track, time_ns) * (exposed_ns - time_ns) * 1e-9
-        return box
-
-    def _velocity_mps(self, track: int, time_ns: int) -> FloatArray:
-        """(2,) between the track's fits before and after the instant; 0 where it has no neighbour in time."""
-        times = np.array(list(self._tracks[track]), dtype=np.int64)
-        near = np.flatnonzero(np.abs(times - time_ns) <= _VELOCITY_SPAN_NS / 2)
-        here = int(np.searchsorted(times, time_ns))
-        first, last = max(near[0], here - 1), min(near[-1], here + 1)
-        if first == last:
-            return np.zeros(2)
-        fits = self._tracks[track]
-        moved = fits[int(times[last])].box[XY] - fits[int(times[first])].box[XY]
-        return np.asarray(moved / ((times[last] - times[first]) * 1e-9))
 
 
 class ImageCache:

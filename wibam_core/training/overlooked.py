@@ -11,15 +11,13 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from wibam_core.geometry.box3d import SIZE, vehicle_to_world
-from wibam_core.geometry.boxes2d import areas_px2, clipped_to_image, image_iou, sides_px
+from wibam_core.geometry.boxes2d import areas_px2, image_iou, sides_px
 from wibam_core.geometry.camera import Camera
 from wibam_core.geometry.occlusion import hidden_share, stands_before
+from wibam_core.geometry.outlines import outlines
 from wibam_core.road_users import BODIES
 from wibam_core.training.views import FloatArray
 
-#: Nothing is said of a vehicle with a body point nearer than this along the optical axis, m.
-_NEAREST_M = 0.5
 #: A vehicle teaches nothing if less than this share of its box lies within the image, or if that part is narrower or
 #: lower than so many px.
 _LEAST_SHARE, _LEAST_PX = 0.3, 8.0
@@ -55,17 +53,12 @@ def overlooked(
         found: (M,) whether the view has a 2D box that is known to be the vehicle's.
         boxes2d: (N, 4) xyxy, px: all 2D boxes of the view.
     """
-    points = vehicle_to_world(vehicles, BODIES[classes] * vehicles[:, None, SIZE])
-    pixels, depths = camera.project(points)
-    ahead = depths.min(axis=1, initial=np.inf) > _NEAREST_M
-    pixels = np.where(ahead[:, None, None], pixels, 0.0)
-    whole = np.concatenate([pixels.min(axis=1), pixels.max(axis=1)], axis=1)
-    shown = clipped_to_image(whole, camera.width_px, camera.height_px)
-    in_image = ahead & (sides_px(shown).min(axis=1, initial=np.inf) > 0)
+    seen = outlines(camera, vehicles, BODIES[classes])
+    shown, whole = seen.shown, seen.whole
     own = image_iou(shown, boxes2d).max(axis=1, initial=0.0) > _SAME_IOU
-    missing = in_image & ~found & ~own
+    missing = seen.in_image & ~found & ~own
     clear = areas_px2(shown) >= _LEAST_SHARE * areas_px2(whole)
     clear &= sides_px(shown).min(axis=1, initial=np.inf) >= _LEAST_PX
-    clear &= hidden_share(shown, stands_before(np.where(in_image, depths.mean(axis=1), np.inf))) <= _HIDDEN_SHARE
+    clear &= hidden_share(shown, stands_before(seen.distance_m)) <= _HIDDEN_SHARE
     rows = np.flatnonzero(missing & clear)
     return Overlooked(rows, shown[rows], shown[missing & ~clear])

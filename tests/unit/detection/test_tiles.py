@@ -1,5 +1,6 @@
 """A detector on tiles: small road users are seen, cut ones are not, and nobody is counted twice."""
 
+import itertools
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -66,5 +67,5 @@ def test_it_looks_at_the_whole_and_at_each_tile() -> None:
 def test_tiles_cover_the_side_and_overlap(length: int, count: int) -> None:
     found = spans(length, count)
     assert found[0][0] == 0 and found[-1][1] == length and len(found) == count
-    for (_, end), (start, _) in zip(found, found[1:], strict=False):
+    for (_, end), (start, _) in itertools.pairwise(found):
         assert (end - start) >= 0.2 * (found[0][1] - found[0][0])

@@ -11,6 +11,7 @@ import numpy as np
 from tests.builders import AMBIGUOUS, corner_rig
 from wibam_core.documents.conflicts import Conflicts
 from wibam_core.documents.metrics import Metrics
+from wibam_core.documents.rounds import HeldOutAgreement, Round, Rounds
 from wibam_core.documents.statistics import SubsetStatistics
 from wibam_core.evaluation.reliability import reliability
 from wibam_core.geometry.box3d import corners
@@ -289,6 +290,24 @@ def report_data(*, labels: bool = True, site_name: str = "Elm Street / 4th Avenu
                 c, "pnp", 12, 1, 0.61, 1.9, 0.04, 0.05, 0.11, {(0.0, 15.0): 0.04, (15.0, 30.0): 0.09, (30.0, 50.0): 0.2}
             )
             for c in ids
+        ),
+        rounds=Rounds(
+            rounds=[
+                Round(
+                    number=number,
+                    boxes_an_image={"cam1": boxes, "cam2": boxes},
+                    vehicles_an_instant={"1": 1.5, "2": boxes / 4, "3": 0.25},
+                    views_a_vehicle=1.7,
+                    fits=900,
+                    taught_vehicles=taught,
+                    agreement=HeldOutAgreement(
+                        instants=60, sightings=40, iou=0.65, missed=60, found=found, an_instant=10 * found / 6
+                    ),
+                )
+                for number, boxes, taught, found in ((0, 3.0, None, 0.27), (1, 7.0, 31, 0.83))
+            ],
+            kept=1,
+            reason="as many rounds as were asked for",
         ),
         dataset=Dataset(
             detected_boxes=12345,

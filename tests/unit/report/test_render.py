@@ -11,6 +11,7 @@ import pytest
 
 from tests.builders import AMBIGUOUS
 from tests.unit.report.scenes import report_data
+from wibam_core.documents.rounds import Rounds
 from wibam_core.report.data import Synchronisation, Training
 from wibam_core.report.render import render
 
@@ -116,6 +117,12 @@ def test_without_labels_there_is_no_accuracy_but_agreement(page):
     assert 'class="results"' not in bare and "thin white lines are labels" not in bare
     assert "0.71 ± 0.20" in bare
     assert 'class="results"' in page and "thin white lines are labels" in page
+
+
+def test_rounds_are_shown_where_there_were_any(page):
+    assert "What each round found" in page and "1 (kept)" in page
+    assert page.index("27 %") < page.index("83 %")
+    assert "What each round found" not in text_alone(rounds=Rounds(rounds=[], kept=0, reason="no round was asked for"))
 
 
 def test_the_bold_figures_are_the_fine_tuned_networks(page):

@@ -22,6 +22,7 @@ from wibam_core.documents.curves import Curves, Epoch
 from wibam_core.documents.metrics import Metrics
 from wibam_core.documents.model_card import ModelCard
 from wibam_core.documents.recordings import Probe, VideoInfo
+from wibam_core.documents.rounds import Rounds
 from wibam_core.documents.statistics import DetectionStatistics, LiftStatistics, ResidualPercentiles
 from wibam_core.formats.framestore import FrameStoreWriter
 from wibam_core.formats.labels import write_labels
@@ -158,6 +159,7 @@ def _give_changes(made: StageFolders, camera_ids: tuple[str, ...]) -> None:
 
 
 def _give_learning(made: StageFolders) -> None:
+    made.give(catalogue.ROUNDS, Rounds(rounds=[], kept=0, reason="no round was asked for"))
     residual = ResidualPercentiles(p10=0.01, p50=0.05, p90=0.2)
     made.give(catalogue.LIFT_STATISTICS, LiftStatistics(fits=120, kept=90, tracks=6, residual=residual))
     epochs = [

@@ -13,17 +13,36 @@ from itertools import groupby, repeat
 
 from wibam_core.config import DetectConfig
 from wibam_core.detection.background import BackgroundFrames, StillBackground, still_background
-from wibam_core.detection.boxes import Found, Image
+from wibam_core.detection.boxes import Found, Image, IntArray
 from wibam_core.detection.edge_refiner import EdgeRefiner
 from wibam_core.formats.framestore import FrameStore
 from wibam_core.geometry.pixels import scale_of
 from wibam_core.progress import Progress
-from wibam_core.scene import Boxes2D, FrameKey
+from wibam_core.scene import Boxes2D, CameraRig, FrameKey
 
 #: Camera id -> which frames show its background.
 Shown = Mapping[str, BackgroundFrames]
 #: What is detected in an image, which is that of a frame, px of the recording.
 FirstLook = Callable[[FrameKey, Image], Boxes2D]
+
+
+def backgrounds_shown(
+    store: FrameStore, times_ns: Mapping[str, IntArray], background_s: float, rig: CameraRig | None
+) -> dict[str, BackgroundFrames]:
+    """Which frames show the background of each camera that the store has frames of.
+
+    Args:
+        store: holds the frames.
+        times_ns: camera -> (N,) times of all frames of its recording, on its own clock.
+        background_s: about how long one background lasts.
+        rig: says which camera a view of a wide lens belongs to; None where there is none.
+    """
+    return {
+        camera_id: BackgroundFrames(
+            times_ns[camera_id if rig is None else rig.mounted_id(camera_id)], store.stored_ns(camera_id), background_s
+        )
+        for camera_id in store.camera_ids
+    }
 
 
 def background_frames(frames: Iterable[FrameKey], shown: Shown) -> list[FrameKey]:

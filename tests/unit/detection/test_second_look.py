@@ -6,14 +6,14 @@ import numpy as np
 import pytest
 
 from wibam_core.config import DetectConfig
+from wibam_core.detection import second_look
 from wibam_core.detection.background import BackgroundFrames, StillBackground, still_background
 from wibam_core.detection.boxes import Found
 from wibam_core.detection.edge_refiner import EdgeRefiner
+from wibam_core.detection.second_look import background_frames, look_again
 from wibam_core.formats.framestore import FrameStore, FrameStoreWriter
 from wibam_core.progress import Progress, silent
 from wibam_core.scene import Boxes2D, FrameKey
-from wibam_core.stages import second_look
-from wibam_core.stages.second_look import background_frames, look_again
 from wibam_core.synthetic.cameras import site_cameras
 from wibam_core.synthetic.layout import make_layout
 from wibam_core.synthetic.lighting import develop, sample_lighting, sample_photometry

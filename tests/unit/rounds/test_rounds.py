@@ -1,0 +1,145 @@
+"""Rounds: when they go on, what they keep, and one that teaches and looks for real."""
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from tests.multiview import crossing
+from wibam_core.config import AssociateConfig, DatasetConfig, DetectConfig, LiftConfig, RoundsConfig
+from wibam_core.detection.instants import by_frame
+from wibam_core.detection.second_look import backgrounds_shown
+from wibam_core.formats.framestore import FrameStore, FrameStoreWriter
+from wibam_core.models.weights import bundled
+from wibam_core.networks.registry import load_to_detect
+from wibam_core.progress import silent
+from wibam_core.rounds import rounds
+from wibam_core.rounds.rounds import run_rounds, settled
+from wibam_core.rounds.world import Detected, Options, World
+from wibam_core.scene import Boxes2D, FrameKey
+
+SHORT = DatasetConfig(rate_hz=6.25, train_share=0.5, val_share=0.3, gap_s=0.2)
+
+
+def options(most: int = 3) -> Options:
+    return Options(RoundsConfig(most=most, steps=2), DetectConfig(), AssociateConfig(), SHORT, LiftConfig())
+
+
+def some(boxes: Boxes2D, rows: np.ndarray) -> Boxes2D:
+    return Boxes2D(*(values[rows] for values in boxes))
+
+
+@pytest.fixture(scope="module")
+def everything() -> tuple[World, dict[FrameKey, Boxes2D]]:
+    scene = crossing()
+    instants, detected = by_frame(scene.unassociated[::2])
+    world = World(scene.rig, {}, None, instants, {}, Path(), options(), Path())  # type: ignore[arg-type]
+    return world, detected
+
+
+def overlooking(detected: Detected, share: float) -> dict[FrameKey, Boxes2D]:
+    """What a detector finds that overlooks a share of what there is: the lower part of each image."""
+    few = {}
+    for frame, boxes in detected.items():
+        order = np.argsort(boxes.boxes[:, 3])
+        few[frame] = some(boxes, np.sort(order[: round(len(order) * (1 - share))]))
+    return few
+
+
+def finding(monkeypatch: pytest.MonkeyPatch, *found: Detected) -> list[int]:
+    """Networks that find these, one a round; says how many vehicles taught each."""
+    left, taught = list(found), []
+
+    def teach(world: World, state: rounds.Settled, number: int, progress: object) -> tuple[object, int]:
+        taught.append(number)
+        return object(), sum(map(len, state.fits))
+
+    monkeypatch.setattr(rounds, "_taught", teach)
+    monkeypatch.setattr(rounds, "_found_again", lambda world, detected, network, progress: left.pop(0))
+    return taught
+
+
+def test_a_round_that_finds_more_is_kept_and_one_that_finds_no_more_is_the_last(
+    everything: tuple[World, dict[FrameKey, Boxes2D]], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    world, detected = everything
+    few, more = overlooking(detected, 0.6), overlooking(detected, 0.2)
+    taught = finding(monkeypatch, more, more, detected)
+    found, document = run_rounds(world, few)
+    assert taught == [1, 2] and document.kept == 2 and "no further" in document.reason
+    assert [one.number for one in document.rounds] == [0, 1, 2]
+    first, second, third = (one.agreement for one in document.rounds)
+    assert second.an_instant > 1.2 * first.an_instant
+    assert third.an_instant == second.an_instant  # the same boxes
+    assert document.rounds[1].fits > document.rounds[0].fits
+    assert sum(len(boxes.boxes) for boxes in found.values()) > sum(len(boxes.boxes) for boxes in few.values())
+
+
+def test_what_agrees_less_is_not_kept(
+    everything: tuple[World, dict[FrameKey, Boxes2D]], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    world, detected = everything
+    worse = {frame: boxes._replace(boxes=boxes.boxes + 12.0) for frame, boxes in detected.items()}
+    finding(monkeypatch, worse)
+    found, document = run_rounds(world, detected)
+    assert document.kept == 0 and len(document.rounds) == 2
+    assert found.keys() == detected.keys()
+    assert all(np.array_equal(found[frame].boxes, detected[frame].boxes) for frame in detected)
+
+
+def test_no_more_rounds_than_asked_for(
+    everything: tuple[World, dict[FrameKey, Boxes2D]], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    world, detected = everything
+    taught = finding(monkeypatch, overlooking(detected, 0.2))
+    _, document = run_rounds(replace(world, options=options(most=1)), overlooking(detected, 0.6))
+    assert taught == [1] and document.kept == 1 and "as many" in document.reason
+
+
+def test_what_a_network_sees_in_one_camera_alone_is_dropped_and_what_the_detector_saw_stays(
+    everything: tuple[World, dict[FrameKey, Boxes2D]],
+) -> None:
+    world, detected = everything
+    ghost = np.array([[300.0, 300.0, 330.0, 318.0]])  # at a place where one camera sees something that never moves
+    unknown = np.full((1, 4), np.nan)
+    more = Boxes2D(ghost, np.ones(1), np.zeros(1, np.int64), unknown, unknown)
+    haunted = {
+        frame: Boxes2D(*(np.concatenate(both) for both in zip(boxes, more, strict=True)))
+        if frame.camera_id == "cam1"
+        else boxes
+        for frame, boxes in detected.items()
+    }
+
+    def count(found: Detected) -> int:
+        return sum(int((boxes.boxes == ghost[0]).all(axis=1).sum()) for boxes in found.values())
+
+    frames = sum(frame.camera_id == "cam1" for frame in detected)
+    assert count(haunted) == frames
+    assert count(settled(world, haunted, of_detector=detected).detected) < 0.2 * frames
+    assert count(settled(world, haunted, of_detector=haunted).detected) == frames
+
+
+def test_a_round_teaches_and_looks_again_in_all_frames(tmp_path: Path) -> None:
+    scene = crossing()
+    instants, detected = by_frame(scene.unassociated[::4])
+    image = np.full((360, 640, 3), 100, np.uint8)
+    with FrameStoreWriter(tmp_path / "frames", 80) as writer:
+        for one in instants:
+            for camera, local_ns in one.local_times_ns.items():
+                writer.add(camera, one.time_ns, local_ns, image)
+        writer.close()
+    store = FrameStore(tmp_path / "frames")
+    shown = backgrounds_shown(store, {camera: store.stored_ns(camera) for camera in scene.rig}, 120.0, None)
+    split = DatasetConfig(rate_hz=6.25, train_share=0.45, val_share=0.25, gap_s=0.1)
+    asked = replace(options(most=1), dataset=split)
+    world = World(scene.rig, {}, store, store.frame_sets, shown, bundled("mono_small.safetensors"), asked, tmp_path)
+    found, document = run_rounds(world, detected)
+    assert found.keys() == detected.keys() and [one.number for one in document.rounds] == [0, 1]
+    assert (document.rounds[1].taught_vehicles or 0) > 0
+    # a network that two steps taught sees nothing in grey images: what the detector found is looked at a second time
+    looked = rounds.settled(world, rounds._found_again(world, detected, load_to_detect(world.start), silent))
+    assert looked.detected.keys() == detected.keys()
+    for frame, boxes in looked.detected.items():
+        assert len(boxes.boxes) <= len(detected[frame].boxes) + 2
+        assert np.isfinite(boxes.amodal_boxes).all()

@@ -1,0 +1,27 @@
+"""Options of the rounds of finding, fitting and teaching."""
+
+from __future__ import annotations
+
+from pydantic import Field
+
+from wibam_core.config.base import StageConfig
+
+
+class RoundsConfig(StageConfig):
+    most: int = Field(
+        0,
+        ge=0,
+        le=6,
+        description="so many times at most, what several cameras see teaches the site's own network, which then looks"
+        " for what the detector overlooked; for detectors that find too few of the vehicles. A round takes about half"
+        " as long as fine-tuning for 200 steps",
+    )
+    steps: int = Field(150, ge=1, le=20_000, description="gradient steps of teaching in a round")
+    least_gain: float = Field(
+        0.02,
+        ge=0,
+        le=1,
+        description="no round follows one that raised the agreement between views by a smaller share: the overlap of"
+        " each camera's boxes with vehicles that the others place, summed, at instants that neither teach nor test",
+    )
+    seed: int = Field(0, ge=0, le=2**63 - 1, description="of the order of images in teaching")

@@ -1,0 +1,50 @@
+"""What rounds of finding, fitting and teaching gained."""
+
+from __future__ import annotations
+
+from wibam_core.documents.base import Document
+
+
+class HeldOutAgreement(Document):
+    """How well fits agree with a camera that they were not made from, each camera in turn.
+
+    Of the instants between the training and the test part, so that neither what was taught nor what is tested decides.
+    """
+
+    instants: int
+    sightings: int
+    """Boxes of a camera that show a vehicle which the other cameras' boxes place."""
+    iou: float | None
+    """Mean overlap (IoU) of these boxes with the outlines of the fits."""
+    missed: int
+    """How often a camera should show such a vehicle unhidden, and has no box of it."""
+    found: float | None
+    """Share of all that should be seen which has a box."""
+    an_instant: float
+    """Sum of the overlaps an instant: it rises with what is found and with how well it agrees."""
+
+
+class Round(Document):
+    """The boxes of all cameras after a round. Round 0 is what the detector found."""
+
+    number: int
+    boxes_an_image: dict[str, float]
+    """By camera."""
+    vehicles_an_instant: dict[str, float]
+    """How many vehicles an instant are seen in so many views."""
+    views_a_vehicle: float | None
+    fits: int
+    """Vehicle-instants that were fitted to all views, the test part included."""
+    taught_vehicles: int | None = None
+    """Tracks of the training part that taught the network that found these boxes; none in round 0."""
+    agreement: HeldOutAgreement
+
+
+class Rounds(Document):
+    """All rounds, those that were not kept included."""
+
+    rounds: list[Round]
+    kept: int
+    """Number of the round whose boxes are used."""
+    reason: str
+    """Why no other round followed."""
