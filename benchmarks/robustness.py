@@ -30,10 +30,10 @@ from wibam_core.dataset.split import split_in_time
 from wibam_core.detection.instants import annotated
 from wibam_core.geometry.camera import Camera
 from wibam_core.geometry.se3 import SE3
+from wibam_core.lifting.instants import thinned, within_split
 from wibam_core.lifting.lift import lift
 from wibam_core.report.style import FINETUNED, TRUTH, new_figure, tidy
 from wibam_core.scene import AnnotatedInstant, CameraRig
-from wibam_core.stages.lift import thinned, within_split
 
 POSES_DEG = (0.1, 0.3, 1.0)
 CLOCKS_MS = (10.0, 20.0, 60.0)

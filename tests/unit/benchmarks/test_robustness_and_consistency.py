@@ -23,6 +23,7 @@ from wibam_core.documents.refinement import Refinement
 from wibam_core.documents.split import SUBSETS, Split
 from wibam_core.evaluation.instants import exposure_times
 from wibam_core.evaluation.labels_at import LabelTimeline
+from wibam_core.lifting.instants import thinned, within_split
 from wibam_core.scene import AnnotatedInstant, Detections2D, FrameSet, LabelledInstant, Vehicles3D
 from wibam_core.stages import associate, dataset, lift
 
@@ -85,7 +86,7 @@ def test_the_fits_are_thinned_to_the_split_and_a_period() -> None:
         times_ns={"train": (0, 280_000_000), "val": (), "test": (600_000_000,)},
         left_out_tracks=dict.fromkeys(SUBSETS, frozenset()),
     )
-    kept = [instant.time_ns for instant in lift.thinned([AnnotatedInstant(t, {}) for t in times], split, 6.25)]
+    kept = [instant.time_ns for instant in thinned([AnnotatedInstant(t, {}) for t in times], split, 6.25)]
     assert kept == [k * 40_000_000 for k in (0, 4, 7, 11, 15, 19)]
 
 
@@ -95,7 +96,7 @@ def test_labels_are_without_the_vehicles_that_another_part_keeps() -> None:
         left_out_tracks={"train": frozenset({5}), "val": frozenset(), "test": frozenset()},
     )
     fits = [Vehicles3D.of(t, np.ones((2, 7)), np.zeros(2, int), np.array([4, 5]), np.ones(2)) for t in (0, 3, 9)]
-    labels = lift.within_split(fits, split)
+    labels = within_split(fits, split)
     assert {v.time_ns: v.ids.tolist() for v in labels} == {0: [4], 9: [4, 5]}
 
 
