@@ -5,14 +5,16 @@ from __future__ import annotations
 from typing import Annotated, Any
 
 import numpy as np
-from fastapi import APIRouter, Header, Query, Response
+from fastapi import APIRouter, Header, Path, Query, Response
 from pydantic import BaseModel, Field
 
 from api.parameters import ONLY_KNOWN_PARAMETERS
 from api.problems import documented
 from api.services import ServicesDep
+from wibam_core.adapters.findings import findings
 from wibam_core.artifacts import catalogue
 from wibam_core.artifacts.artifact import Artifact
+from wibam_core.documents.findings import InstantFindings
 from wibam_core.errors import InputError, NotFound
 from wibam_core.formats.framestore import FrameStore
 from wibam_core.geometry.camera import Camera
@@ -126,6 +128,20 @@ def instants(job_id: str, services: ServicesDep) -> InstantsOut:
             camera_id: [instant.frame_times_ns.get(camera_id) for instant in sets] for camera_id in store.camera_ids
         },
     )
+
+
+@router.get("/instants/{time_ns}", summary="What was found at an instant", responses=documented(422))
+def instant(
+    job_id: str, time_ns: Annotated[int, Path(ge=-(2**62), le=2**62)], services: ServicesDep
+) -> InstantFindings:
+    """2D boxes of all cameras and how they were associated, fits, and in the test part what the network says of single
+    frames, before and after fine-tuning. Of an instant of the `split`; others have fewer findings, or none."""
+    job = services.jobs.job(job_id)
+    if all(one.time_ns != time_ns for one in services.results.frames(job).frame_sets):
+        raise NotFound(
+            f"job {job_id} has no instant at {time_ns} ns", hint=f"GET /v1/jobs/{job_id}/instants lists them."
+        )
+    return findings(services.results, job, time_ns)
 
 
 @router.get(

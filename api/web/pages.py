@@ -181,6 +181,11 @@ def preflight(job_id: Id, read_only: ReadOnly) -> HTMLResponse:
     return page("preflight", read_only=read_only, job=job_id)
 
 
+@router.get("/jobs/{job_id}/instants")
+def instants(job_id: Id, read_only: ReadOnly) -> HTMLResponse:
+    return page("instants", read_only=read_only, job=job_id)
+
+
 @router.get("/jobs/{job_id}/results")
 def results(job_id: Id, read_only: ReadOnly) -> HTMLResponse:
     return page("results", read_only=read_only, job=job_id)

@@ -16,6 +16,7 @@ PAGES = {
     "jobs": lambda site, job: "/jobs",
     "job": lambda site, job: f"/jobs/{job}",
     "preflight": lambda site, job: f"/jobs/{job}/preflight",
+    "instants": lambda site, job: f"/jobs/{job}/instants",
     "results": lambda site, job: f"/jobs/{job}/results",
     "player": lambda site, job: f"/jobs/{job}/player",
     "conflicts": lambda site, job: f"/jobs/{job}/conflicts",

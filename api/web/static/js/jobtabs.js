@@ -4,7 +4,7 @@ import { byId, fill, h } from "./dom.js";
 export const jobId = document.body.dataset.job ?? "";
 export const readOnly = "readOnly" in document.body.dataset;
 
-const TABS = [["", "Progress"], ["/preflight", "Preflight"], ["/results", "Results"], ["/player", "Player"], ["/conflicts", "Conflicts"], ["/labelling", "Labelling"]];
+const TABS = [["", "Progress"], ["/preflight", "Preflight"], ["/results", "Results"], ["/instants", "Instants"], ["/player", "Player"], ["/conflicts", "Conflicts"], ["/labelling", "Labelling"]];
 
 /** @param {any} job */
 export function showTabs(job) {
