@@ -159,6 +159,7 @@ class PredictConfig(StageConfig):
 
     rate_hz: float = Field(gt=0, description="instants per second that are searched beside those of the test part")
     min_score: float = Field(ge=0, lt=1, description="weaker boxes are left out")
+    test_min_score: float = Field(ge=0, lt=1, description="the same at the instants of the test part")
 
 
 class EvaluateConfig(StageConfig):

@@ -35,8 +35,12 @@ class PipelineConfig(StageConfig):
     @property
     def predict(self) -> learning.PredictConfig:
         """What evaluation and tracking need."""
-        min_score = min(self.evaluate.kept_score, self.evaluate.min_score, self.track.min_score)
-        return learning.PredictConfig(rate_hz=self.track.rate_hz, min_score=min_score)
+        evaluated = min(self.evaluate.kept_score, self.evaluate.min_score)
+        return learning.PredictConfig(
+            rate_hz=self.track.rate_hz,
+            min_score=self.track.min_score,
+            test_min_score=min(evaluated, self.track.min_score),
+        )
 
     @classmethod
     def parse(cls, options: Mapping[str, Any]) -> PipelineConfig:

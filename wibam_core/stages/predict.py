@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import heapq
 from collections.abc import Iterable, Iterator
 from itertools import groupby
 
@@ -18,14 +19,24 @@ from wibam_core.stages.base import StageContext, Summary
 
 
 def run(context: StageContext, config: PredictConfig) -> Summary:
-    """Write `PREDICTIONS`, of the instants that tracking asks for and of those of the test part."""
+    """Write `PREDICTIONS`, of the instants that tracking asks for and of those of the test part.
+
+    The evaluation is asked for weak boxes, too, of which there are many, and each is looked at twice: so only there.
+    """
     rig, store, network = context.read(RIG), context.read(FRAMES), load_to_detect(context.read(WEIGHTS))
-    wanted = set(context.read(SPLIT).times_ns["test"]) | {one.time_ns for one in store.thinned(config.rate_hz)}
+    test = set(context.read(SPLIT).times_ns["test"])
+    wanted = test | {instant.time_ns for instant in store.thinned(config.rate_hz)}
     instants = [instant for instant in store.frame_sets if instant.time_ns in wanted]
     total = sum(len(rig.keys() & instant.frame_times_ns.keys()) for instant in instants)
     images = boxes = 0
     with PredictionsWriter(context.new_file(PREDICTIONS)) as writer:
-        found = predictions(network, store, instants, rig, config.min_score)
+        of_test = [instant for instant in instants if instant.time_ns in test]
+        others = [instant for instant in instants if instant.time_ns not in test]
+        found = heapq.merge(
+            predictions(network, store, of_test, rig, config.test_min_score),
+            predictions(network, store, others, rig, config.min_score),
+            key=lambda vehicles: vehicles.time_ns,
+        )
         for _, of_instant in groupby(found, key=lambda vehicles: vehicles.time_ns):
             vehicles = list(of_instant)
             writer.add(vehicles)
