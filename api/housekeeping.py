@@ -9,12 +9,12 @@ from api.services import Services
 from wibam_core.adapters.presence import departed
 
 _REAP_EVERY_S = 1.0
-_TIDY_EVERY = 300  # reaps
+_KEEP_EVERY, _TIDY_EVERY = 30, 300  # reaps
 _log = logging.getLogger(__name__)
 
 
 class Housekeeper:
-    """Takes lost leases back, tidies uploads and what killed attempts left.
+    """Takes lost leases back, keeps the networks that jobs made, tidies uploads and what killed attempts left.
 
     Any number may run at once, in any number of processes.
     """
@@ -38,9 +38,13 @@ class Housekeeper:
         services.queue.dispatch(services.leases.reap(gone=lost.owners, resend_all=number == 0))
         services.queue.dispatch_clips(services.clips.reap(gone=lost.owners, resend_all=number == 0))
         lost.forget()
+        if number % _KEEP_EVERY == 0:
+            services.keeper.keep_all()
+            services.site_tracks.take_in_all()
         if number % _TIDY_EVERY == 0:
             services.uploads.tidy()
             services.audit.tidy()
+            services.site_tracks.tidy()
             services.stages.sweep(services.leases.running_hashes)
             services.folder.tidy_clips(services.clips.ids)
 

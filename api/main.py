@@ -18,7 +18,22 @@ from api.access import needed_scope
 from api.docs_page import DOCS_PAGE
 from api.housekeeping import Housekeeper
 from api.problems import Problem, add_handlers, documented
-from api.routes import access, clips, exports, jobs, labels, looks, results, reviews, scene, sites, system, uploads
+from api.routes import (
+    access,
+    clips,
+    exports,
+    jobs,
+    labels,
+    looks,
+    models,
+    results,
+    reviews,
+    scene,
+    site_tracks,
+    sites,
+    system,
+    uploads,
+)
 from api.security import Gate
 from api.services import Services
 from api.sessions import SESSION_COOKIE
@@ -42,6 +57,7 @@ calibration, without hand labels; get 7DoF tracks and the conflicts between road
 3. `POST /v1/sites/{id}/jobs`: start. `GET /v1/jobs/{id}/events` tells how it goes.
 4. `GET /v1/jobs/{id}/metrics`, `/model`, `/tracks`, `/conflicts`, `/report`: the results;
    `/exports/{format}` has them in formats of others.
+5. `GET /v1/models`: the networks that jobs have made. `POST /v1/models/{id}/runs`: new footage to tracks and conflicts.
 
 Everything under `/v1` needs `Authorization: Bearer TOKEN`, with the token of the service, which may do everything, or a
 key (`POST /v1/keys`), which may do what its scopes say; each operation names the one that it takes. The pages, at `/`,
@@ -91,6 +107,9 @@ def create_app(settings: ServiceSettings) -> FastAPI:
         labels.router,
         exports.router,
         access.router,
+        models.router,
+        models.footage_router,
+        site_tracks.router,
         results.public_router,
         system.options_router,
         system.router,

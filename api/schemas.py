@@ -7,14 +7,16 @@ from typing import Annotated, Literal
 
 from pydantic import BaseModel, ConfigDict, Field, JsonValue
 
+from api.times import to_time
 from wibam_core.adapters.machine import this_machine
 from wibam_core.adapters.results import ResultFile
 from wibam_core.config import PipelineConfig
 from wibam_core.costs import Pace
 from wibam_core.documents.recordings import VideoInfo
 from wibam_core.documents.warnings import StageWarning
+from wibam_core.job_kind import JobKind
 from wibam_core.jobs.estimate import job_fraction, pace_of, remaining_s, stage_remaining_s
-from wibam_core.jobs.records import Event, Job, SiteRecord, StageRun, StoredFile
+from wibam_core.jobs.records import Event, Job, Purpose, SiteRecord, StageRun, StoredFile
 from wibam_core.jobs.states import JobState, StageState
 from wibam_core.site import Site
 from wibam_core.stages.graph import STAGES, PlannedStage
@@ -53,12 +55,13 @@ class RecordingOut(BaseModel):
 
     id: str = Field(examples=["file_9b8a7c6d5e4f3a2b"])
     site_id: str
-    purpose: Literal["recording", "labels", "detector", "network"]
-    camera: str | None = Field(description="of a recording")
+    purpose: Purpose
+    camera: str | None = Field(description="of a recording or footage")
     filename: str = Field(description="as the client called it")
     size_bytes: int
     sha256: str
     created_at: datetime
+    started_at: datetime | None = Field(None, description="when its first frame was taken, where somebody said it")
     probe: VideoInfo | None = Field(None, description="codec, size, rate, duration, once a job has looked")
 
     @classmethod
@@ -66,12 +69,13 @@ class RecordingOut(BaseModel):
         return cls(
             id=file.id,
             site_id=file.site_id,
-            purpose=file.purpose.value,
+            purpose=file.purpose,
             camera=file.camera_id or None,
             filename=file.filename,
             size_bytes=file.size_bytes,
             sha256=file.sha256,
             created_at=_time(file.created_at),
+            started_at=None if file.started_ns is None else to_time(file.started_ns),
             probe=probe,
         )
 
@@ -191,6 +195,9 @@ class JobOut(BaseModel):
     site_id: str
     site_name: str = Field(description="as it was when the job was created")
     name: str = Field(description="what its user calls it; may be empty")
+    kind: JobKind = Field(description="`training`, or `run`: a network that is there on new footage")
+    model_id: str | None = Field(description="the network that a run uses")
+    continues: str | None = Field(description="the run whose road users this run follows on")
     state: JobState
     is_terminal: bool = Field(description="nothing happens any more unless the job is restarted")
     fraction: float = Field(ge=0, le=1, description="done, weighted by how long stages are expected to take")
@@ -212,6 +219,9 @@ class JobOut(BaseModel):
             site_id=job.site_id,
             site_name=job.site.name,
             name=job.name,
+            kind=job.kind,
+            model_id=job.model_id,
+            continues=job.continues,
             state=job.state,
             is_terminal=job.state.is_terminal,
             fraction=job_fraction(job, pace),

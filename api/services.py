@@ -19,12 +19,16 @@ from wibam_core.adapters.job_store import JobStore
 from wibam_core.adapters.key_store import KeyStore
 from wibam_core.adapters.label_store import LabelStore
 from wibam_core.adapters.lease_store import LeaseStore
+from wibam_core.adapters.model_keeping import ModelKeeper
+from wibam_core.adapters.model_store import ModelStore
 from wibam_core.adapters.queue import JobQueue, make_celery
 from wibam_core.adapters.results import JobResults
 from wibam_core.adapters.reuse import Reuse
 from wibam_core.adapters.review_store import ReviewStore
+from wibam_core.adapters.runs import Runs
 from wibam_core.adapters.settings import ServiceSettings
 from wibam_core.adapters.site_store import SiteStore
+from wibam_core.adapters.site_tracks import SiteTracks
 from wibam_core.adapters.uploads import UploadService
 from wibam_core.stages.store import StageStore
 
@@ -52,13 +56,18 @@ class Services:
     audit: AuditStore
     glimpses: Glimpses
     clips: ClipStore
+    models: ModelStore
+    keeper: ModelKeeper
+    runs: Runs
+    site_tracks: SiteTracks
 
     @classmethod
     def connect(cls, settings: ServiceSettings) -> Services:
         """Nothing is opened yet: connections are made when they are first used."""
         folder = DataFolder(settings.data_dir)
         database = Database(settings.database_url)
-        sites = SiteStore(database)
+        sites, jobs, models = SiteStore(database), JobStore(database), ModelStore(database)
+        results, stages, glimpses = JobResults(folder.stages), StageStore(folder.stages), Glimpses()
         leases = LeaseStore(database, settings.leases)
         # with another token, what rested on the old one ends
         signing_secret = f"{folder.secret()}:{settings.token_sha256}"
@@ -70,20 +79,24 @@ class Services:
             uploads=UploadService(
                 sites, folder, quota_bytes=settings.upload_quota_bytes, lifetime_s=settings.upload_lifetime_s
             ),
-            jobs=JobStore(database),
+            jobs=jobs,
             leases=leases,
             queue=JobQueue(make_celery(settings.broker_url)),
             reuse=Reuse(leases, folder, f"{socket.gethostname()}:{os.getpid()}:api"),
-            results=JobResults(folder.stages),
+            results=results,
             labels=LabelStore(database),
-            stages=StageStore(folder.stages),
+            stages=stages,
             reviews=ReviewStore(database),
             passes=Passes(signing_secret),
             report_links=ReportLinks(signing_secret),
             keys=KeyStore(database),
             audit=AuditStore(database),
-            glimpses=Glimpses(),
             clips=ClipStore(database, settings.leases),
+            glimpses=glimpses,
+            models=models,
+            keeper=ModelKeeper(models, jobs, sites, results, folder, glimpses),
+            runs=Runs(models, jobs, sites, folder, stages),
+            site_tracks=SiteTracks(database, jobs, results, folder),
         )
 
 

@@ -15,18 +15,21 @@ from wibam_core.adapters.job_rows import StageKey
 from wibam_core.adapters.job_store import JobStore
 from wibam_core.adapters.lease_store import LeaseStore, LostLease
 from wibam_core.adapters.logs import JobLog
+from wibam_core.adapters.planning import are_dated
 from wibam_core.adapters.records import plain_json
 from wibam_core.adapters.reuse import Reuse, end_with_what_is_there
+from wibam_core.adapters.runs import run_assets
 from wibam_core.adapters.settings import StageLimits
 from wibam_core.config import PipelineConfig
 from wibam_core.documents.warnings import StageWarning
 from wibam_core.errors import StageError, StageOutOfMemory, StageTimedOut, WibamError
+from wibam_core.job_kind import JobKind
 from wibam_core.jobs.leases import Claim, LeasePolicy
 from wibam_core.jobs.records import Job, StageRun
 from wibam_core.jobs.states import StageState
 from wibam_core.stages.base import Summary
 from wibam_core.stages.execute import StageRequest
-from wibam_core.stages.graph import STAGES
+from wibam_core.stages.graph import STAGES_OF
 from wibam_core.stages.store import Attempt, StageStore
 from wibam_core.video.recording import Recording, RecordingFile
 from worker.failures import crash, is_full, no_space, system_error, was_killed
@@ -278,15 +281,25 @@ class StageRunner:
 
     def _request(self, job: Job, stage: StageRun, attempt: Attempt) -> StageRequest:
         upstream: dict[str, Path] = {}
-        for name in STAGES[stage.name].requires_of(job.site):
+        for name in STAGES_OF[job.kind][stage.name].requires_of(job.site):
             required = job.stage(name)
             folder = self._store.find(name, required.hash) if required is not None else None
             if folder is None:
                 raise StageError(f"the outputs of the stage {name} are gone", hint=f"Restart the job from {name}.")
             upstream[name] = folder
+        dated = are_dated(job.files)
         recordings = {
-            camera: Recording(tuple(RecordingFile(self._folder.file(file), file.filename) for file in files))
+            camera: Recording(
+                tuple(
+                    RecordingFile(self._folder.file(file), file.filename, file.started_ns if dated else None)
+                    for file in files
+                )
+            )
             for camera, files in job.recordings.items()
         }
-        assets = {name: self._folder.file(file) for name, file in job.assets.items()}
-        return StageRequest.of(attempt, job.site, PipelineConfig.parse(job.options), recordings, assets, upstream)
+        if job.kind is JobKind.RUN:
+            assets = run_assets(job, self._folder, self._jobs, self._store)
+        else:
+            assets = {name: self._folder.file(file) for name, file in job.assets.items()}
+        config = PipelineConfig.parse(job.options)
+        return StageRequest.of(attempt, job.site, config, recordings, assets, upstream, job.kind)

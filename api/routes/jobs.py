@@ -31,6 +31,7 @@ from api.services import Services, ServicesDep
 from wibam_core.adapters.job_rows import StageKey
 from wibam_core.adapters.logs import read_log
 from wibam_core.adapters.planning import made_anew, plan_stages
+from wibam_core.job_kind import JobKind
 from wibam_core.jobs.records import Job
 from wibam_core.jobs.states import JobState
 from wibam_core.stages.graph import PlannedStage, downstream
@@ -79,11 +80,12 @@ def list_jobs(
     limit: Annotated[int, Query(ge=1, le=1000)] = 100,
     state: Annotated[list[JobState] | None, Query(description="in any of these states")] = None,
     text: Annotated[str, Query(max_length=200, description="that the name or the id contains")] = "",
+    kind: Annotated[JobKind, Query(description="`run`: of networks on new footage")] = JobKind.TRAINING,
     after: Annotated[str | None, Query(description="id of the last job of the page before")] = None,
 ) -> list[JobOut]:
     """The newest first."""
     now = time.time()
-    found = services.jobs.jobs(site, limit, states=state or (), text=text, after=after)
+    found = services.jobs.jobs(site, limit, states=state or (), text=text, after=after, kind=kind)
     return [JobOut.of(job, now) for job in found]
 
 
@@ -220,4 +222,6 @@ def _restart_plan(
     options = dict(job.options if body.options is None else body.options)
     if body.from_stage is not None:
         downstream(body.from_stage)  # refuses stages that do not exist
+    if job.kind is JobKind.RUN:
+        return options, services.runs.plan_again(job, options)
     return options, plan_stages(job.site, options, job.files)

@@ -3,14 +3,10 @@
 from __future__ import annotations
 
 import base64
-import io
-from collections.abc import Iterator
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
-import pyarrow.csv
-import pyarrow.parquet
 from fastapi import APIRouter, Query
 from pydantic import Field
 from starlette.responses import FileResponse, JSONResponse, Response, StreamingResponse
@@ -19,6 +15,7 @@ from api.parameters import ONLY_KNOWN_PARAMETERS
 from api.problems import documented
 from api.schemas import ArtifactOut, ReportLinkOut
 from api.services import Services, ServicesDep
+from api.streams import STREAMS
 from wibam_core.adapters.results import ResultFile, conflicts_csv
 from wibam_core.adapters.track_query import (
     TrackQuery,
@@ -32,7 +29,6 @@ from wibam_core.artifacts import catalogue
 from wibam_core.documents.conflicts import Conflicts
 from wibam_core.documents.metrics import Metrics
 from wibam_core.documents.tracks import TrackPage
-from wibam_core.formats.outlet import Outlet
 from wibam_core.jobs.records import Job
 from wibam_core.road_users import RoadUserClass
 
@@ -123,9 +119,8 @@ def tracks(
         return JSONResponse(_page(path, query))
     name = f"{job.id}-tracks.{format}"
     headers = {"Content-Disposition": f'attachment; filename="{name}"'}
-    if format == "csv":
-        return StreamingResponse(_csv(path, query), media_type="text/csv; charset=utf-8", headers=headers)
-    return StreamingResponse(_parquet(path, query), media_type="application/vnd.apache.parquet", headers=headers)
+    stream, media_type = STREAMS[format]
+    return StreamingResponse(stream(query_tracks(path, query)), media_type=media_type, headers=headers)
 
 
 @router.get(
@@ -218,24 +213,3 @@ def _page(path: Path, query: TrackQuery) -> dict[str, Any]:
         states = [state for batch in batches for state in batch.to_pylist()]
     last = states[-1] if len(states) == query.limit else None
     return {"states": states, "next": cursor_of(last["time_ns"], last["track_id"]) if last else None}
-
-
-def _csv(path: Path, query: TrackQuery) -> Iterator[bytes]:
-    with query_tracks(path, query) as batches:
-        header = io.BytesIO()
-        pyarrow.csv.write_csv(batches.schema.empty_table(), header)
-        yield header.getvalue()
-        for batch in batches:
-            buffer = io.BytesIO()
-            pyarrow.csv.write_csv(batch, buffer, pyarrow.csv.WriteOptions(include_header=False))
-            yield buffer.getvalue()
-
-
-def _parquet(path: Path, query: TrackQuery) -> Iterator[bytes]:
-    outlet = Outlet()
-    with query_tracks(path, query) as batches:
-        with pyarrow.parquet.ParquetWriter(outlet, batches.schema, compression="zstd") as writer:
-            for batch in batches:
-                writer.write_batch(batch)
-                yield outlet.take()
-        yield outlet.take()

@@ -16,6 +16,7 @@ from api.addresses import address
 from api.problems import documented, problem
 from api.security import UPLOAD_CONTENT_TYPE
 from api.services import ServicesDep
+from api.times import parse_time
 from api.tus import EXTENSIONS, TUS_VERSION
 from wibam_core.adapters.site_store import UploadRequest
 from wibam_core.adapters.uploads import CHECKSUMS, Checksum, Piece
@@ -76,9 +77,9 @@ async def create(
     upload_metadata: Annotated[
         str,
         Header(
-            description="`key base64,key base64`: `site` (id), `purpose` (recording, labels, detector or "
-            "network), `camera` "
-            "(of a recording), `filename` (for showing; of a camera whose "
+            description="`key base64,key base64`: `site` (id), `purpose` (recording, footage, labels, detector, "
+            "network or model), `camera` (of a recording or footage), `started_at` (of these: when the first frame was "
+            "taken, ISO 8601 with its offset from UTC), `filename` (for showing; of a camera whose "
             "recordings the site lists, one of these names)"
         ),
     ],
@@ -253,7 +254,8 @@ def _request(length: int, header: str) -> UploadRequest:
     if "site" not in metadata:
         raise InputError("Upload-Metadata names no site", hint="Send the site's id as 'site'.")
     camera, filename = metadata.get("camera", ""), metadata.get("filename", "")
-    return UploadRequest(metadata["site"], purpose, camera, filename, length, header)
+    started_ns = parse_time(metadata["started_at"]) if "started_at" in metadata else None
+    return UploadRequest(metadata["site"], purpose, camera, filename, length, header, started_ns)
 
 
 def _check_version(version: str) -> None:

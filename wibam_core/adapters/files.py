@@ -29,14 +29,16 @@ class DataFolder:
     """Where everything but the database's rows lies.
 
     ``uploads/`` unfinished uploads, ``files/`` finished ones, ``stages/`` published outputs (`StageStore`),
-    ``logs/`` one text file a job, ``clips/`` finished video clips, ``cache/`` what stages may cache, ``workers/``
-    who is there (`presence`), ``database-id`` whose folder it is, ``folder-id`` which one, ``secret`` what signs links.
+    ``models/`` a folder a network, ``site-tracks/`` the tables of sites, ``logs/`` one text file a job, ``clips/``
+    finished video clips, ``cache/`` what stages may cache, ``workers/`` who is there (`presence`), ``database-id``
+    whose folder it is, ``folder-id`` which one, ``secret`` what signs links.
     """
 
     def __init__(self, root: Path) -> None:
         self.root = root.absolute()
         self.root.mkdir(mode=0o700, parents=True, exist_ok=True)
-        for folder in ("uploads", "files", "stages", "logs", "clips", "cache", "workers"):
+        names = ("uploads", "files", "stages", "models", "site-tracks", "logs", "clips", "cache", "workers")
+        for folder in names:
             (self.root / folder).mkdir(exist_ok=True)
 
     @property
@@ -83,6 +85,14 @@ class DataFolder:
                 shutil.rmtree(path, ignore_errors=True)
             elif path.stem not in ids:
                 path.unlink(missing_ok=True)
+
+    def model(self, model_id: str) -> Path:
+        """The folder of a network: what is in it, `wibam_core.adapters.model_keeping` knows."""
+        return self.root / "models" / _plain(model_id)
+
+    @property
+    def site_tracks(self) -> Path:
+        return self.root / "site-tracks"
 
     def require_space(self, size_bytes: int) -> None:
         """Raises:

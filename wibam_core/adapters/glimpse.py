@@ -1,8 +1,8 @@
-"""Look into one uploaded recording: ``python -m wibam_core.adapters.glimpse REQUEST``, a JSON `GlimpseRequest`.
+"""Look into one uploaded file: ``python -m wibam_core.adapters.glimpse REQUEST``, a JSON `GlimpseRequest`.
 
-An uploaded video is not to be trusted, so that a process of its own opens it, confined and for a few seconds. On
-standard output come a line of JSON, ``{"header": ...}`` or ``{"error": ...}`` (`WibamError.to_dict`), and then a JPEG
-file, where a frame was asked for.
+An uploaded file is not to be trusted, so that a process of its own opens it, confined and for a few seconds. On
+standard output come a line of JSON, ``{"header": ...}`` or ``{"error": ...}`` (`WibamError.to_dict`), and then a file:
+a JPEG where a frame was asked for, ONNX where a network.
 """
 
 from __future__ import annotations
@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 
 from wibam_core.adapters.glimpses import GlimpseRequest
 from wibam_core.errors import InputError, WibamError
+from wibam_core.formats.model_card import read_card
 from wibam_core.video.seeking import frames_from, read_header
 
 Image = NDArray[np.uint8]
@@ -28,6 +29,8 @@ def main(request: GlimpseRequest) -> tuple[dict[str, object], bytes]:
     Raises:
         WibamError: the recording cannot be read, has nothing at that time, or does not contain a region.
     """
+    if request.look == "network":
+        return _network(request)
     if request.look == "header":
         header = read_header(request.path)
         return dict(vars(header)), b""
@@ -36,6 +39,15 @@ def main(request: GlimpseRequest) -> tuple[dict[str, object], bytes]:
             return {"time_ns": time_ns}, _jpeg(image)
         raise InputError("the recording has no frame at that time", hint="Ask for an earlier time.")
     return _signals(request), b""
+
+
+def _network(request: GlimpseRequest) -> tuple[dict[str, object], bytes]:
+    """The card of a network, and its ONNX file, if its family has any."""
+    read_card(request.path)  # most of what is no network is told by its header
+    from wibam_core.networks.registry import load_network  # torch takes seconds to import
+
+    network = load_network(request.path)
+    return {"card": network.card.model_dump(mode="json")}, network.onnx() or b""
 
 
 def _signals(request: GlimpseRequest) -> dict[str, object]:

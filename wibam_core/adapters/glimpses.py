@@ -15,18 +15,21 @@ from pydantic import BaseModel, ConfigDict
 import wibam_core
 from wibam_core.adapters import confine
 from wibam_core.adapters.system_files import system_files
-from wibam_core.errors import ServiceUnavailable, UnreadableVideo, WibamError
+from wibam_core.errors import InvalidWeights, ServiceUnavailable, UnreadableVideo, WibamError
 from wibam_core.site import SignalRegion
 
 _INHERITED = ("PATH", "LANG", "LC_ALL", "TZ", "LD_LIBRARY_PATH", "VIRTUAL_ENV")
+
+#: Who looks at a network imports torch first, which takes seconds, on a busy machine many.
+_SLOWER_TO_START = 4
 
 
 class GlimpseRequest(BaseModel):
     """What to look for.
 
     Attributes:
-        look: "header", the "frame" at a time, or the "signals" of a stretch.
-        path: of the recording, the service's own.
+        look: "header", the "frame" at a time, or the "signals" of a stretch; of a file of weights the "network".
+        path: of the file, the service's own.
         start_ns: on the recording's clock. duration_ns: of the stretch.
         width_px: the frame is no wider.
         regions: of signals.
@@ -34,7 +37,7 @@ class GlimpseRequest(BaseModel):
 
     model_config = ConfigDict(extra="forbid", frozen=True)
 
-    look: Literal["header", "frame", "signals"]
+    look: Literal["header", "frame", "signals", "network"]
     path: Path
     start_ns: int = 0
     duration_ns: int = 0
@@ -63,20 +66,22 @@ class Glimpses:
         """
         if not self._places.acquire(timeout=self._patience_s / 2):
             raise ServiceUnavailable("the service looks into other recordings", hint="Try again in a moment.")
+        patience_s = self._patience_s * (_SLOWER_TO_START if request.look == "network" else 1)
         try:
             done = subprocess.run(
-                _command(request), capture_output=True, timeout=self._patience_s, env=_environment(), check=False
+                _command(request), capture_output=True, timeout=patience_s, env=_environment(), check=False
             )
         except subprocess.TimeoutExpired as error:
-            raise ServiceUnavailable(
-                f"the recording was not read within {self._patience_s:g} s", hint="Ask for a shorter stretch."
-            ) from error
+            hint = "Try again later." if request.look == "network" else "Ask for a shorter stretch."
+            raise ServiceUnavailable(f"the file was not read within {patience_s:g} s", hint=hint) from error
         finally:
             self._places.release()
         head, _, rest = done.stdout.partition(b"\n")
         try:
             answer = json.loads(head)
         except ValueError:
+            if request.look == "network":
+                raise InvalidWeights("the file could not be read as a network") from None
             raise UnreadableVideo(
                 "the recording could not be decoded", hint="Upload it again, or convert it to H.264."
             ) from None

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
+from dataclasses import dataclass
 from typing import Any
 
 from sqlalchemy import delete, or_, select
@@ -22,15 +23,24 @@ from wibam_core.adapters.job_rows import (
     settle_job,
     stage_rows,
 )
-from wibam_core.adapters.models import EventRow, FileRow, JobFileRow, JobRow, SiteRow, StageRow
+from wibam_core.adapters.models import EventRow, FileRow, JobFileRow, JobRow, SiteRow, StageRow, TrainedModelRow
 from wibam_core.adapters.planning import made_anew
 from wibam_core.errors import Conflict, NotFound
+from wibam_core.job_kind import JobKind
 from wibam_core.jobs.machine import cancel, check_job_move
 from wibam_core.jobs.records import Event, EventKind, Job, SiteRecord, StoredFile
 from wibam_core.jobs.states import JobState, StageState
 from wibam_core.stages.graph import PlannedStage
 
 _TERMINAL = [state.value for state in JobState if state.is_terminal]
+
+
+@dataclass(frozen=True)
+class RunOf:
+    """Which network a run uses, and which run it goes on with."""
+
+    model_id: str
+    continues: str | None = None
 
 
 class JobStore:
@@ -53,8 +63,11 @@ class JobStore:
         plan: Sequence[PlannedStage],
         idempotency_key: str | None = None,
         name: str = "",
+        run: RunOf | None = None,
     ) -> tuple[Job, list[StageKey]]:
         """A new job, and the stages to dispatch; with a key that was used before, the job it made, and nothing.
+
+        It is a run of a network where ``run`` says so.
 
         Raises:
             NotFound: the site is gone.
@@ -80,7 +93,12 @@ class JobStore:
                 last_event=0,
                 idempotency_key=idempotency_key,
                 name=records.plain_text(name),
+                kind=(JobKind.TRAINING if run is None else JobKind.RUN).value,
+                model_id=None if run is None else run.model_id,
+                continues=None if run is None else run.continues,
             )
+            if run is not None and session.get(TrainedModelRow, run.model_id) is None:
+                raise NotFound(f"there is no model {run.model_id}", hint="List the models to see their ids.")
             session.add(row)
             session.flush()
             session.add_all(JobFileRow(job_id=row.id, file_id=file.id) for file in files)
@@ -106,6 +124,8 @@ class JobStore:
         states: Collection[JobState] = (),
         text: str = "",
         after: str | None = None,
+        kind: JobKind | None = None,
+        model_id: str | None = None,
     ) -> list[Job]:
         """Jobs, the newest first.
 
@@ -115,6 +135,8 @@ class JobStore:
             states: in one of these; none: in any.
             text: that the name or the id contains, whatever the case of its letters.
             after: only those that follow this job in the list.
+            kind: of this kind alone.
+            model_id: runs of this network alone.
 
         Raises:
             NotFound: there is no job ``after``.
@@ -122,6 +144,10 @@ class JobStore:
         newest = select(JobRow).order_by(JobRow.created_at.desc(), JobRow.id).limit(limit)
         if site_id is not None:
             newest = newest.where(JobRow.site_id == site_id)
+        if kind is not None:
+            newest = newest.where(JobRow.kind == kind.value)
+        if model_id is not None:
+            newest = newest.where(JobRow.model_id == model_id)
         if states:
             newest = newest.where(JobRow.state.in_([state.value for state in states]))
         if text:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from sqlalchemy import JSON, BigInteger, Float, ForeignKey, Index, MetaData, String, Text, text
+from sqlalchemy import JSON, BigInteger, Float, ForeignKey, Index, MetaData, String, Text, UniqueConstraint, text
 from sqlalchemy.orm import DeclarativeBase, Mapped, mapped_column
 
 _NAMING = {
@@ -101,6 +101,7 @@ class FileRow(Base):
     sha256: Mapped[str] = mapped_column(String(64))
     created_at: Mapped[float]
     retired_at: Mapped[float | None]
+    started_ns: Mapped[int | None] = mapped_column(BigInteger)
 
 
 class UploadRow(Base):
@@ -119,6 +120,7 @@ class UploadRow(Base):
     expires_at: Mapped[float] = mapped_column(index=True)
     file_id: Mapped[str | None] = mapped_column(String(64))
     given_metadata: Mapped[str] = mapped_column(Text)
+    started_ns: Mapped[int | None] = mapped_column(BigInteger)
 
 
 class JobRow(Base):
@@ -140,6 +142,9 @@ class JobRow(Base):
     last_event: Mapped[int]
     idempotency_key: Mapped[str | None] = mapped_column(String(255))
     name: Mapped[str] = mapped_column(String(200), server_default="")
+    kind: Mapped[str] = mapped_column(String(16), server_default="training")
+    model_id: Mapped[str | None] = mapped_column(String(64))
+    continues: Mapped[str | None] = mapped_column(String(64))
 
 
 class JobFileRow(Base):
@@ -241,6 +246,49 @@ class ClipRow(Base):
     size_bytes: Mapped[int | None] = mapped_column(BigInteger)
     created_at: Mapped[float]
     finished_at: Mapped[float | None]
+
+
+class TrainedModelRow(Base):
+    """A network that is kept, whatever becomes of the job that made it, or of its site.
+
+    ``stage_hash`` is the address of the outputs of fine-tuning; ``version`` counts the networks of a site.
+    """
+
+    __tablename__ = "trained_models"
+    __table_args__ = (UniqueConstraint("site_id", "version"), UniqueConstraint("job_id", "stage_hash"))
+
+    id: Mapped[str] = mapped_column(String(64), primary_key=True)
+    name: Mapped[str] = mapped_column(String(200))
+    site_id: Mapped[str] = mapped_column(String(64))
+    version: Mapped[int]
+    state: Mapped[str] = mapped_column(String(16))
+    job_id: Mapped[str | None] = mapped_column(String(64))
+    stage_hash: Mapped[str | None] = mapped_column(String(64))
+    sha256: Mapped[str] = mapped_column(String(64), index=True)
+    size_bytes: Mapped[int] = mapped_column(BigInteger)
+    has_onnx: Mapped[bool]
+    has_usual: Mapped[bool]
+    document: Mapped[str] = mapped_column(Text)
+    created_at: Mapped[float]
+
+
+class SiteTracksRow(Base):
+    """The tracks of a run or job that are whole in its site's table; ``stage_hash`` is the address that they come from.
+
+    Where it is not known when the footage began there are no states.
+    """
+
+    __tablename__ = "site_tracks"
+
+    job_id: Mapped[str] = mapped_column(ForeignKey("jobs.id", ondelete="CASCADE"), primary_key=True)
+    site_id: Mapped[str] = mapped_column(String(64), index=True)
+    stage_hash: Mapped[str] = mapped_column(String(64))
+    first_run_id: Mapped[str] = mapped_column(String(64))
+    model_id: Mapped[str | None] = mapped_column(String(64))
+    cameras: Mapped[list[str]]
+    start_ns: Mapped[int] = mapped_column(BigInteger)
+    end_ns: Mapped[int] = mapped_column(BigInteger)
+    states: Mapped[int] = mapped_column(BigInteger)
 
 
 class EventRow(Base):

@@ -2,15 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
 from wibam_core.config import PipelineConfig
 from wibam_core.errors import MissingCamera
-from wibam_core.jobs.records import Purpose, StoredFile, recordings_of
+from wibam_core.job_kind import JobKind
+from wibam_core.jobs.records import StoredFile, recordings_of
 from wibam_core.site import Site
 from wibam_core.stages.graph import InputDigests, PlannedStage, downstream, plan
-from wibam_core.stages.recording_files import digest_of
+from wibam_core.stages.recording_files import digest_of_recording
 
 
 def plan_stages(site: Site, options: Mapping[str, Any], files: Sequence[StoredFile]) -> tuple[PlannedStage, ...]:
@@ -24,7 +25,7 @@ def plan_stages(site: Site, options: Mapping[str, Any], files: Sequence[StoredFi
     """
     config = PipelineConfig.parse(options)
     recordings = recordings_of(files)
-    assets = {file.purpose.value: file.sha256 for file in files if file.purpose is not Purpose.RECORDING}
+    assets = {file.purpose.value: file.sha256 for file in files if not file.purpose.is_of_camera}
     missing = [camera for camera in site.camera_ids if camera not in recordings]
     if missing:
         raise MissingCamera(f"there is no recording of {_names(missing)}", cameras=missing)
@@ -38,8 +39,40 @@ def plan_stages(site: Site, options: Mapping[str, Any], files: Sequence[StoredFi
                 camera=camera.id,
                 files=awaited,
             )
-    digests = {c: digest_of((file.filename, file.sha256) for file in recordings[c]) for c in site.camera_ids}
-    return plan(site, config, InputDigests(digests, assets))
+    return plan(site, config, InputDigests(recording_digests({c: recordings[c] for c in site.camera_ids}), assets))
+
+
+def plan_run(
+    site: Site, options: Mapping[str, Any], files: Sequence[StoredFile], assets: Mapping[str, str]
+) -> tuple[PlannedStage, ...]:
+    """All stages of a run, with the addresses of their outputs.
+
+    Args:
+        site: with just the cameras that there is footage of.
+        options: as given.
+        files: the footage.
+        assets: SHA-256 of the network and of what goes along with it, by name (`wibam_core.stages.assets`).
+
+    Raises:
+        UnknownOption: naming the first option that does not exist.
+        InvalidOption: naming the first option that has a wrong value.
+    """
+    inputs = InputDigests(recording_digests(recordings_of(files)), assets)
+    return plan(site, PipelineConfig.parse(options), inputs, JobKind.RUN)
+
+
+def recording_digests(recordings: Mapping[str, Sequence[StoredFile]]) -> dict[str, str]:
+    """What each camera's recording is known by. When it began counts where that is known of all cameras."""
+    dated = are_dated(file for files in recordings.values() for file in files)
+    return {
+        camera: digest_of_recording((f.filename, f.sha256, f.started_ns if dated else None) for f in files)
+        for camera, files in recordings.items()
+    }
+
+
+def are_dated(files: Iterable[StoredFile]) -> bool:
+    """Whether it is known of all recordings when they began; only then it counts: clocks are one, or each its own."""
+    return all(file.started_ns is not None for file in files if file.purpose.is_of_camera)
 
 
 def made_anew(plan: Sequence[PlannedStage], from_stage: str | None, still_wanted: Mapping[str, str]) -> set[str]:

@@ -7,9 +7,22 @@ import secrets
 from collections.abc import Iterable, Mapping
 from typing import Any
 
-from wibam_core.adapters.models import EventRow, FileRow, JobRow, SiteRow, StageRow, UploadRow
+from wibam_core.adapters.models import EventRow, FileRow, JobRow, SiteRow, StageRow, TrainedModelRow, UploadRow
+from wibam_core.documents.trained_model import ModelDocument
 from wibam_core.documents.warnings import StageWarning
-from wibam_core.jobs.records import Event, EventKind, Job, Purpose, SiteRecord, StageRun, StoredFile, Upload
+from wibam_core.job_kind import JobKind
+from wibam_core.jobs.records import (
+    Event,
+    EventKind,
+    Job,
+    ModelState,
+    Purpose,
+    SiteRecord,
+    StageRun,
+    StoredFile,
+    TrainedModel,
+    Upload,
+)
 from wibam_core.jobs.states import JobState, StageState
 from wibam_core.site import Site
 
@@ -52,6 +65,7 @@ def stored_file(row: FileRow) -> StoredFile:
         size_bytes=row.size_bytes,
         sha256=row.sha256,
         created_at=row.created_at,
+        started_ns=row.started_ns,
     )
 
 
@@ -67,6 +81,7 @@ def upload(row: UploadRow) -> Upload:
         created_at=row.created_at,
         expires_at=row.expires_at,
         file_id=row.file_id,
+        started_ns=row.started_ns,
     )
 
 
@@ -109,6 +124,26 @@ def job(row: JobRow, files: Iterable[StoredFile], stages: Iterable[StageRow]) ->
         error=row.error,
         restarts=row.restarts,
         name=row.name,
+        kind=JobKind(row.kind),
+        model_id=row.model_id,
+        continues=row.continues,
+    )
+
+
+def trained_model(row: TrainedModelRow) -> TrainedModel:
+    return TrainedModel(
+        id=row.id,
+        name=row.name,
+        site_id=row.site_id,
+        version=row.version,
+        state=ModelState(row.state),
+        job_id=row.job_id,
+        sha256=row.sha256,
+        size_bytes=row.size_bytes,
+        has_onnx=row.has_onnx,
+        has_usual=row.has_usual,
+        document=ModelDocument.model_validate_json(row.document),
+        created_at=row.created_at,
     )
 
 

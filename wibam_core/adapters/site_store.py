@@ -14,8 +14,10 @@ from wibam_core.adapters.database import Database
 from wibam_core.adapters.models import FileRow, JobFileRow, JobRow, SiteRow, UploadRow
 from wibam_core.errors import Conflict, InputError, NotFound, QuotaExceeded
 from wibam_core.jobs.records import Purpose, SiteRecord, StoredFile, Upload
+from wibam_core.jobs.states import JobState
 from wibam_core.site import Site, SiteCamera
 
+_TERMINAL = [state.value for state in JobState if state.is_terminal]
 Clock = Callable[[], float]
 
 
@@ -23,7 +25,8 @@ Clock = Callable[[], float]
 class UploadRequest:
     """A file that a client wants to send: ``length`` bytes, called ``filename`` over there.
 
-    ``metadata`` is what the client said about it, word by word; it gets it back.
+    ``metadata`` is what the client said about it, word by word; it gets it back. ``started_ns`` is when the first frame
+    of a recording was taken, Unix time.
     """
 
     site_id: str
@@ -32,6 +35,7 @@ class UploadRequest:
     filename: str
     length: int
     metadata: str = ""
+    started_ns: int | None = None
 
     def __post_init__(self) -> None:
         if self.length <= 0:
@@ -114,7 +118,23 @@ class SiteStore:
 
     # --- files ---------------------------------------------------------------------------------
     def files(self, site_id: str) -> list[StoredFile]:
-        """The current files of a site: recordings by camera and name, labels, detector, network.
+        """The current files of a site that jobs work on: recordings by camera and name, labels, detector, network.
+
+        Raises:
+            NotFound: there is no such site.
+        """
+        return [file for file in self.all_files(site_id) if file.purpose not in (Purpose.FOOTAGE, Purpose.MODEL)]
+
+    def footage(self, site_id: str) -> list[StoredFile]:
+        """All footage of a site's cameras that networks can be run on, the recordings included, by camera and name.
+
+        Raises:
+            NotFound: there is no such site.
+        """
+        return [file for file in self.all_files(site_id) if file.purpose.is_of_camera]
+
+    def all_files(self, site_id: str) -> list[StoredFile]:
+        """All current files of a site.
 
         Raises:
             NotFound: there is no such site.
@@ -134,6 +154,34 @@ class SiteStore:
             if row is None or row.site_id != site_id or row.retired_at is not None:
                 raise NotFound(f"site {site_id} has no file {file_id}", hint="List its recordings to see their ids.")
             row.retired_at = self._now()
+
+    def date_file(self, site_id: str, file_id: str, started_ns: int | None) -> StoredFile:
+        """Say when a recording or footage began, Unix time.
+
+        Jobs that were made with the file go on as they are: what they have made stays.
+
+        Raises:
+            NotFound: the site has no such file.
+            InputError: it is no recording.
+            Conflict: a job works with it, that has not ended.
+        """
+        with self._database.writing(exclusive=True) as session:
+            row = session.get(FileRow, file_id)
+            if row is None or row.site_id != site_id or row.retired_at is not None:
+                raise NotFound(f"site {site_id} has no file {file_id}", hint="List its footage to see the ids.")
+            if not Purpose(row.purpose).is_of_camera:
+                raise InputError(f"a file for {row.purpose} has no time when it began", hint="Name a recording.")
+            using = session.scalar(
+                select(JobFileRow.job_id)
+                .join(JobRow, JobRow.id == JobFileRow.job_id)
+                .where(JobFileRow.file_id == file_id, JobRow.state.not_in(_TERMINAL))
+                .limit(1)
+            )
+            if using is not None:
+                raise Conflict(f"job {using} works with the file", hint="Wait until it has ended.", job=using)
+            row.started_ns = started_ns
+            session.flush()
+            return records.stored_file(row)
 
     def purge_files(self) -> list[str]:
         """Forget retired files that no job needs; returns their ids."""
@@ -166,11 +214,13 @@ class SiteStore:
             offset=0,
             created_at=now,
             expires_at=now + lifetime_s,
+            started_ns=request.started_ns,
         )
         with self._database.writing(exclusive=True) as session:
             site = records.site_record(_site_row(session, request.site_id)).site
             _check_camera(site, request.purpose, request.camera_id)
-            _check_listed(_camera_of(site, request.camera_id), upload.filename)
+            if request.purpose is Purpose.RECORDING:
+                _check_listed(_camera_of(site, request.camera_id), upload.filename)
             _check_quota(session, request.length, quota_bytes)
             session.add(
                 UploadRow(
@@ -184,6 +234,7 @@ class SiteStore:
                     created_at=now,
                     expires_at=upload.expires_at,
                     given_metadata=request.metadata,
+                    started_ns=request.started_ns,
                 )
             )
         return upload
@@ -229,6 +280,7 @@ class SiteStore:
             upload.length,
             sha256,
             now,
+            upload.started_ns,
         )
         same_place = (
             (FileRow.site_id == file.site_id)
@@ -240,7 +292,7 @@ class SiteStore:
             if session.get(UploadRow, upload.id) is None:
                 raise NotFound(f"there is no upload {upload.id} any more", hint="Start a new one.")
             camera = _camera_of(records.site_record(_site_row(session, file.site_id)).site, file.camera_id)
-            if camera is not None and camera.recordings:
+            if file.purpose in (Purpose.FOOTAGE, Purpose.MODEL) or (camera is not None and camera.recordings):
                 same_place &= FileRow.filename == file.filename
             session.execute(update(FileRow).where(same_place).values(retired_at=now))
             session.add(
@@ -254,6 +306,7 @@ class SiteStore:
                     size_bytes=file.size_bytes,
                     sha256=sha256,
                     created_at=now,
+                    started_ns=file.started_ns,
                 )
             )
             done = {"offset_bytes": upload.length, "file_id": file.id}
@@ -294,7 +347,7 @@ def _site_row(session: Session, site_id: str) -> SiteRow:
 
 
 def _check_camera(site: Site, purpose: Purpose, camera_id: str) -> None:
-    if purpose is not Purpose.RECORDING:
+    if not purpose.is_of_camera:
         if camera_id:
             raise InputError(
                 f"a file for {purpose} belongs to the site, not to camera {camera_id!r}", hint="Leave the camera out."

@@ -104,20 +104,21 @@ def query_tracks(path: Path, query: TrackQuery) -> Iterator[pa.RecordBatchReader
         path: a file of `wibam_core.formats.tracks`.
         query: which states.
     """
-    conditions, values = _conditions(query)
-    where = f"WHERE {' AND '.join(conditions)}" if conditions else ""
+    restricting, values = conditions(query)
+    where = f"WHERE {' AND '.join(restricting)}" if restricting else ""
     limit = f"LIMIT {int(query.limit)}" if query.limit is not None else ""
     sql = f"SELECT * FROM read_parquet(?) {where} ORDER BY time_ns, track_id {limit}"
     with duckdb.connect(":memory:", config={"threads": 1}) as connection:
         yield connection.sql(sql, params=[str(path), *values]).to_arrow_reader(_BATCH_ROWS)
 
 
-def _conditions(query: TrackQuery) -> tuple[list[str], list[Any]]:
-    conditions: list[str] = []
+def conditions(query: TrackQuery) -> tuple[list[str], list[Any]]:
+    """The query as conditions in SQL, all of which must hold, and their parameters."""
+    found: list[str] = []
     values: list[Any] = []
 
     def add(condition: str, *of: Any) -> None:
-        conditions.append(condition)
+        found.append(condition)
         values.extend(of)
 
     if query.start_ns is not None:
@@ -137,7 +138,7 @@ def _conditions(query: TrackQuery) -> tuple[list[str], list[Any]]:
         add("speed_mps >= ?", query.min_speed_mps)
     if query.after is not None:
         add("(time_ns > ? OR (time_ns = ? AND track_id > ?))", query.after[0], query.after[0], query.after[1])
-    return conditions, values
+    return found, values
 
 
 def _inside(polygon: tuple[Point, ...]) -> tuple[Any, ...]:

@@ -23,6 +23,7 @@ from wibam_core.documents.statistics import (
     LiftStatistics,
 )
 from wibam_core.documents.synchronisation import Synchronisation
+from wibam_core.documents.watching import Watched
 from wibam_core.formats.annotations import read_annotations, write_annotations
 from wibam_core.formats.clocks import read_clocks, write_clocks
 from wibam_core.formats.detections import read_detections, write_detections
@@ -32,6 +33,7 @@ from wibam_core.formats.predictions import Predictions
 from wibam_core.formats.rig import read_rig, write_rig
 from wibam_core.formats.timestamps import read_timestamps, write_timestamps
 from wibam_core.formats.tracks import read_tracks, write_tracks
+from wibam_core.formats.usual import read_usual, write_usual
 from wibam_core.formats.vehicles3d import read_vehicles3d, write_vehicles3d
 
 _ANNOTATIONS = own_format(read_annotations, write_annotations)
@@ -143,6 +145,18 @@ PREDICTIONS_FINETUNED: Final = Artifact(
     _BOXES_3D,
 )
 TRACKS: Final = Artifact("tracks", "track", "tracks.parquet", "7DoF tracks", own_format(read_tracks, write_tracks))
+USUAL: Final = Artifact(
+    "usual",
+    "track",
+    "usual.npz",
+    "Still backgrounds and usual scores",
+    Codec(BINARY, read_usual, write_usual, read_usual.__module__),
+    optional=True,
+)
+OPEN_TRACKS: Final = Artifact(
+    "open-tracks", "track", "open.npz", "Tracks that more footage goes on with", opaque(), optional=True
+)
+WATCHED: Final = Artifact("watched", "track", "watched.json", "What a run noticed", document(Watched), optional=True)
 CONFLICTS: Final = Artifact(
     "conflicts", "safety", "conflicts.json", "Conflicts between road users", document(Conflicts)
 )

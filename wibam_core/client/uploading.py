@@ -31,8 +31,12 @@ def send_file(
     camera_id: str,
     progress: UploadProgress,
     patience_s: float,
-) -> None:
+    started_at: str = "",
+) -> str:
     """Upload a file; ``patience_s`` is how long a service that does not answer is waited for.
+
+    Returns:
+        The file's id.
 
     Raises:
         ServiceUnavailable: it stayed away for longer than that.
@@ -40,6 +44,7 @@ def send_file(
     """
     size = path.stat().st_size
     values = {"site": site_id, "purpose": purpose.value, "camera": camera_id, "filename": path.name}
+    values |= {"started_at": started_at} if started_at else {}
     metadata = ",".join(f"{key} {base64.b64encode(value.encode()).decode()}" for key, value in values.items())
     headers = {**_TUS, "Upload-Length": str(size), "Upload-Metadata": metadata}
     address = connection.request("POST", "/v1/uploads", headers=headers).headers["Location"]
@@ -53,6 +58,7 @@ def send_file(
             trouble = _Trouble(patience_s)
         offset = reached
         progress(offset, size)
+    return address.rstrip("/").rpartition("/")[2]
 
 
 class _Trouble:

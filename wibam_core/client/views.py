@@ -7,10 +7,11 @@ from typing import Any
 from pydantic import BaseModel, ConfigDict
 
 from wibam_core.documents.clips import ClipFacts, ClipSpec
+from wibam_core.documents.trained_model import ModelDocument
 from wibam_core.documents.warnings import StageWarning
 from wibam_core.errors import WibamError
 from wibam_core.jobs.clips import ClipState
-from wibam_core.jobs.records import Purpose
+from wibam_core.jobs.records import ModelState, Purpose
 from wibam_core.jobs.states import JobState, StageState
 
 
@@ -35,6 +36,32 @@ class FileView(_View):
     filename: str
     size_bytes: int
     sha256: str
+
+
+class ModelView(_View):
+    """A network that the service keeps."""
+
+    id: str
+    name: str
+    site_id: str
+    version: int
+    state: ModelState
+    job_id: str | None
+    sha256: str
+    size_bytes: int
+    has_onnx: bool
+    created_at: str
+    about: ModelDocument
+
+
+class FootageView(_View):
+    """Footage of a camera that networks can be run on."""
+
+    id: str
+    camera: str
+    filename: str
+    size_bytes: int
+    started_at: str | None
 
 
 class ProblemView(_View):

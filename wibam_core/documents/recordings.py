@@ -22,10 +22,11 @@ class Segment(Document):
     frames: int
     file: str
     """Name of the file that it comes from."""
-    placed_by: Literal["stamps", "timecode", "chapter", "creation_time", "name", "assumed"]
+    placed_by: Literal["stamps", "timecode", "chapter", "creation_time", "name", "stated", "assumed"]
     """What says where it lies against the segment before. ``assumed``: nothing does, and it was put right behind, so
     that how long the camera was off is unknown until the cameras are synchronised. ``chapter``: cameras cut chapters
-    without losing a frame. ``creation_time`` and ``name`` are exact to a second or so, the others to a frame."""
+    without losing a frame. ``stated``: whoever uploaded it said when it began. ``creation_time`` and ``name`` are exact
+    to a second or so, ``stated`` as the clock was that it was read from, the others to a frame."""
 
 
 class SizeChange(Document):

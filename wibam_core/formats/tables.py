@@ -88,7 +88,11 @@ def write_table(path: Path, table: pa.Table, *, empty_instants: Iterable[tuple[i
 
 
 def read_table(
-    path: Path, schema: pa.Schema, what: str, error: type[InputError] = InputError
+    path: Path,
+    schema: pa.Schema,
+    what: str,
+    error: type[InputError] = InputError,
+    filters: list[tuple[str, str, int]] | None = None,
 ) -> tuple[pa.Table, list[tuple[int, str | None]]]:
     """Read a table and cast it to ``schema``.
 
@@ -97,6 +101,7 @@ def read_table(
         schema: what it must hold; further columns are ignored.
         what: the kind of file, for the error's sentence.
         error: the error to raise.
+        filters: conditions on columns, all of which must hold, as pyarrow writes them; what cannot match is not read.
 
     Returns:
         The table, and its empty instants.
@@ -105,7 +110,7 @@ def read_table(
         InputError: (or ``error``) the file is no Parquet file, or lacks or mistypes a column.
     """
     try:
-        table = pq.read_table(path)
+        table = pq.read_table(path, filters=filters)
     except (OSError, pa.ArrowInvalid) as cause:
         raise error(f"{path.name} cannot be read as Parquet: {cause}", hint=f"A {what} file is Parquet.") from cause
     metadata = table.schema.metadata or {}

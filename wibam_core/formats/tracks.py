@@ -5,9 +5,12 @@ from __future__ import annotations
 from collections.abc import Iterable
 from itertools import pairwise
 from pathlib import Path
+from typing import Self
 
 import numpy as np
 import pyarrow as pa
+import pyarrow.compute as pc
+import pyarrow.parquet as pq
 
 from wibam_core.errors import InputError
 from wibam_core.formats import tables
@@ -65,13 +68,66 @@ def write_tracks(path: Path, tracks: Iterable[Track]) -> None:
     tables.write_table(path, to_table(tracks))
 
 
-def read_tracks(path: Path) -> list[Track]:
+class TrackWriter:
+    """Writes a file of tracks piece by piece, in constant memory. A context manager.
+
+    States may come in any order, as long as none is before a time up to which all were said to be there.
+
+    Args:
+        path: of the file; it is there once the writer is closed.
+    """
+
+    def __init__(self, path: Path) -> None:
+        self._file = pq.ParquetWriter(path, SCHEMA, compression="zstd")
+        self._waiting = SCHEMA.empty_table()
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *error: object) -> None:
+        self._file.close()
+
+    def add(self, states: pa.Table) -> None:
+        """Take in states, a table of `SCHEMA`."""
+        self._waiting = pa.concat_tables([self._waiting, states])
+
+    def settle(self, before_ns: int | None = None) -> None:
+        """Write the states before a time, or all: no other state before it will come."""
+        ready = self._waiting
+        if before_ns is not None:
+            is_ready = pc.less(ready["time_ns"], before_ns)
+            ready, self._waiting = ready.filter(is_ready), ready.filter(pc.invert(is_ready))
+        else:
+            self._waiting = SCHEMA.empty_table()
+        if ready.num_rows:
+            self._file.write_table(
+                ready.unify_dictionaries().sort_by([("time_ns", "ascending"), ("track_id", "ascending")])
+            )
+
+
+def span_of(path: Path) -> tuple[int, int] | None:
+    """The first and the last time of a file of tracks, from its statistics; None where it holds no state."""
+    found = pq.read_metadata(path)
+    column = SCHEMA.get_field_index("time_ns")
+    groups = [found.row_group(number).column(column).statistics for number in range(found.num_row_groups)]
+    groups = [group for group in groups if group is not None and group.has_min_max]
+    return (min(group.min for group in groups), max(group.max for group in groups)) if groups else None
+
+
+def read_tracks(path: Path, start_ns: int | None = None, end_ns: int | None = None) -> list[Track]:
     """Read tracks, sorted by id.
+
+    Args:
+        path: the file.
+        start_ns: only states from this time on; None: all. What cannot hold any is not read.
+        end_ns: only states before this time; None: all.
 
     Raises:
         InputError: the file is not of this format, or a track has two states at one time.
     """
-    table, _ = tables.read_table(path, SCHEMA, "tracks")
+    between = [("time_ns", ">=", start_ns)] if start_ns is not None else []
+    between += [("time_ns", "<", end_ns)] if end_ns is not None else []
+    table, _ = tables.read_table(path, SCHEMA, "tracks", filters=between or None)
     table = table.sort_by([("track_id", "ascending"), ("time_ns", "ascending")])
     classes = tables.class_indices(table)
     track_ids, times = table["track_id"].to_numpy(), table["time_ns"].to_numpy()

@@ -5,6 +5,7 @@ from __future__ import annotations
 from wibam_core.config import PipelineConfig
 from wibam_core.costs import Footage, Machine, Pace, expected_s
 from wibam_core.errors import WibamError
+from wibam_core.job_kind import JobKind
 from wibam_core.jobs.records import Job, StageRun
 from wibam_core.jobs.states import StageState
 
@@ -67,6 +68,8 @@ def stage_remaining_s(stage: StageRun, pace: Pace, now: float) -> float | None:
 
 
 def _expected_s(job: Job, machine: Machine) -> dict[str, float]:
+    if job.kind is JobKind.RUN:  # its stages do other work under the same names; how far they are tells their pace
+        return {}
     preflight = job.stage("preflight")
     said = {} if preflight is None else preflight.summary or {}
     if "shortest_s" not in said:

@@ -7,19 +7,30 @@ from dataclasses import dataclass
 from enum import StrEnum
 from typing import Any
 
+from wibam_core.documents.trained_model import ModelDocument
 from wibam_core.documents.warnings import StageWarning
+from wibam_core.job_kind import JobKind
 from wibam_core.jobs.machine import StageNode
 from wibam_core.jobs.states import JobState, StageState
 from wibam_core.site import Site
 
 
 class Purpose(StrEnum):
-    """What an uploaded file is for. Recordings belong to a camera; the others to the site."""
+    """What an uploaded file is for. Recordings and footage belong to a camera; the others to the site.
+
+    A camera has one recording, which jobs learn from, and any amount of footage, which networks are run on.
+    """
 
     RECORDING = "recording"
+    FOOTAGE = "footage"
     LABELS = "labels"
     DETECTOR = "detector"
     NETWORK = "network"
+    MODEL = "model"
+
+    @property
+    def is_of_camera(self) -> bool:
+        return self in (Purpose.RECORDING, Purpose.FOOTAGE)
 
 
 @dataclass(frozen=True)
@@ -39,6 +50,7 @@ class StoredFile:
         camera_id: of a recording; empty otherwise.
         filename: as the client called it. It tells the files of one recording apart, and is never part of a path.
         suffix: what kind of file it is, found by looking at it (".parquet", ".json" or "").
+        started_ns: when its first frame was taken, Unix time; None: nobody said.
     """
 
     id: str
@@ -50,17 +62,18 @@ class StoredFile:
     size_bytes: int
     sha256: str
     created_at: float
+    started_ns: int | None = None
 
     def __post_init__(self) -> None:
-        if (self.purpose is Purpose.RECORDING) != bool(self.camera_id):
-            raise ValueError("recordings, and only recordings, belong to a camera")
+        if self.purpose.is_of_camera != bool(self.camera_id):
+            raise ValueError("recordings and footage, and only these, belong to a camera")
 
 
 def recordings_of(files: Iterable[StoredFile]) -> dict[str, tuple[StoredFile, ...]]:
-    """Camera id -> the file, or files, of its recording, by name."""
+    """Camera id -> the file, or files, of its recording or footage, by name."""
     found: dict[str, tuple[StoredFile, ...]] = {}
     for file in sorted(files, key=lambda file: file.filename):
-        if file.purpose is Purpose.RECORDING:
+        if file.purpose.is_of_camera:
             found[file.camera_id] = (*found.get(file.camera_id, ()), file)
     return found
 
@@ -79,6 +92,7 @@ class Upload:
     created_at: float
     expires_at: float
     file_id: str | None = None
+    started_ns: int | None = None
 
     def __post_init__(self) -> None:
         if not 0 <= self.offset <= self.length:
@@ -135,6 +149,9 @@ class Job:
         error: why it failed: a `WibamError.to_dict` with the stage's name in its details.
         restarts: how often it was restarted.
         name: what users call it; may be empty.
+        kind: what it is for.
+        model_id: the network that a run uses.
+        continues: the run whose road users a run follows on.
     """
 
     id: str
@@ -150,6 +167,9 @@ class Job:
     error: Mapping[str, Any] | None = None
     restarts: int = 0
     name: str = ""
+    kind: JobKind = JobKind.TRAINING
+    model_id: str | None = None
+    continues: str | None = None
 
     def stage(self, name: str) -> StageRun | None:
         """The stage of this name, if the job has one."""
@@ -163,7 +183,39 @@ class Job:
     @property
     def assets(self) -> dict[str, StoredFile]:
         """ "labels", "detector", "network" -> file."""
-        return {file.purpose.value: file for file in self.files if file.purpose is not Purpose.RECORDING}
+        return {file.purpose.value: file for file in self.files if not file.purpose.is_of_camera}
+
+
+class ModelState(StrEnum):
+    """Of a site's networks one at most is promoted: the one to use. Retired ones are kept for the record."""
+
+    CANDIDATE = "candidate"
+    PROMOTED = "promoted"
+    RETIRED = "retired"
+
+
+@dataclass(frozen=True)
+class TrainedModel:
+    """A network that the service keeps.
+
+    Attributes:
+        version: counts the networks of a site, from 1.
+        job_id: that made it; None: it was uploaded.
+        has_onnx: there is an ONNX file of it, too. has_usual: what was usual where it was made is kept with it.
+    """
+
+    id: str
+    name: str
+    site_id: str
+    version: int
+    state: ModelState
+    job_id: str | None
+    sha256: str
+    size_bytes: int
+    has_onnx: bool
+    has_usual: bool
+    document: ModelDocument
+    created_at: float
 
 
 class EventKind(StrEnum):

@@ -49,6 +49,10 @@ _ALL = (
         ("finetune", "network"),
         "Give the site a network.safetensors, as `wibam weights convert` writes it, or leave the option out.",
     ),
+    # those of a run; a site's folder holds none of them
+    Asset("model", ()),
+    Asset("usual", ()),
+    Asset("open_tracks", ()),
 )
 
 #: By name.

@@ -26,10 +26,11 @@ from wibam_core.artifacts.access import ArtifactReader, ArtifactWriter
 from wibam_core.config import PipelineConfig
 from wibam_core.documents.warnings import StageWarning
 from wibam_core.errors import DiskFull, StageCrashed, StageOutOfMemory, WibamError
+from wibam_core.job_kind import JobKind
 from wibam_core.progress import Progress
 from wibam_core.site import Site
 from wibam_core.stages.base import StageContext, Summary, WarningListener
-from wibam_core.stages.graph import STAGES
+from wibam_core.stages.graph import STAGES_OF, StageSpec
 from wibam_core.stages.store import Attempt
 from wibam_core.video.recording import Recording
 
@@ -42,6 +43,7 @@ class StageRequest(BaseModel):
     model_config = ConfigDict(extra="forbid", frozen=True)
 
     stage: str
+    kind: JobKind = JobKind.TRAINING
     site: Site
     config: PipelineConfig
     recordings: dict[str, Recording]
@@ -60,6 +62,7 @@ class StageRequest(BaseModel):
         recordings: Mapping[str, Recording],
         assets: Mapping[str, Path],
         upstream: Mapping[str, Path],
+        kind: JobKind = JobKind.TRAINING,
     ) -> StageRequest:
         """What a stage is given, of all that its caller has, to make an attempt.
 
@@ -70,10 +73,12 @@ class StageRequest(BaseModel):
             recordings: camera id -> its uploaded file or files.
             assets: all other uploaded files; those that the stage does not read are kept from it.
             upstream: published outputs by stage, of at least those that it reads.
+            kind: of the job that the stage is one of.
         """
-        spec = STAGES[attempt.stage]
+        spec = STAGES_OF[kind][attempt.stage]
         return cls(
             stage=attempt.stage,
+            kind=kind,
             site=site,
             config=config,
             recordings=dict(recordings),
@@ -83,6 +88,11 @@ class StageRequest(BaseModel):
             output=attempt.output,
             scratch=attempt.scratch,
         )
+
+    @property
+    def spec(self) -> StageSpec:
+        """What is known of the stage."""
+        return STAGES_OF[self.kind][self.stage]
 
     @property
     def reads(self) -> tuple[Path, ...]:
@@ -103,13 +113,13 @@ class StageRequest(BaseModel):
             self.recordings,
             self.assets,
             ArtifactReader(self.upstream),
-            ArtifactWriter(self.stage, self.output, STAGES[self.stage].writes),
+            ArtifactWriter(self.stage, self.output, self.spec.writes),
             self.scratch,
             progress,
             warned,
-            STAGES[self.stage].checked_options(self.config),
+            self.spec.checked_options(self.config),
             tuple(ArtifactReader({self.stage: folder}) for folder in self.earlier),
-            STAGES[self.stage].other_options(self.config),
+            self.spec.other_options(self.config),
         )
 
 
@@ -125,9 +135,9 @@ def run_stage(request: StageRequest, progress: Progress, warned: WarningListener
         WibamError: whatever went wrong, as the tree of errors says it.
     """
     stage = request.stage
-    module = importlib.import_module(f"wibam_core.stages.{stage}")
+    module = importlib.import_module(f"wibam_core.stages.{request.spec.module_name}")
     try:
-        summary: Summary = module.run(request.context(progress, warned), STAGES[stage].config(request.config))
+        summary: Summary = module.run(request.context(progress, warned), request.spec.config(request.config))
     except WibamError:
         raise
     except MemoryError as error:

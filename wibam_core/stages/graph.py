@@ -20,6 +20,7 @@ from wibam_core.artifacts.artifact import Artifact
 from wibam_core.artifacts.catalogue import made_by
 from wibam_core.config import FinetuneConfig, PipelineConfig, StageConfig
 from wibam_core.errors import UnknownOption
+from wibam_core.job_kind import JobKind
 from wibam_core.site import Site
 from wibam_core.stages.assets import ASSETS, require_assets
 from wibam_core.stages.code import code_digest
@@ -103,6 +104,7 @@ class StageSpec:
             for all.
         other_options: those of other stages that it uses, too.
         frame_by_frame: how it works on single frames; None where it does not.
+        module: of the package `wibam_core.stages`, where that is not called as the stage is.
     """
 
     name: str
@@ -116,6 +118,12 @@ class StageSpec:
     other_options: Callable[[PipelineConfig], tuple[StageConfig, ...]] = _no_others
     frame_by_frame: FrameByFrame | None = None
     reads_if_wide: tuple[Artifact[Any], ...] = ()
+    module: str = ""
+
+    @property
+    def module_name(self) -> str:
+        """The module of `wibam_core.stages` that does the work."""
+        return self.module or self.name
 
     @property
     def requires(self) -> tuple[str, ...]:
@@ -140,7 +148,7 @@ class StageSpec:
         """
         read = (*self.reads, *self.reads_if_wide)
         layouts = frozenset(artifact.codec.layout for artifact in (*read, *self.writes))
-        return code_digest(self.name, frozenset() if checks else self.asset_checks, layouts)
+        return code_digest(self.module_name, frozenset() if checks else self.asset_checks, layouts)
 
     def config(self, config: PipelineConfig) -> StageConfig:
         """This stage's part of the options, or what follows from those of others."""
@@ -271,6 +279,30 @@ _SPECS = (
 #: All stages by name, each after those it requires.
 STAGES: Mapping[str, StageSpec] = MappingProxyType({spec.name: spec for spec in _SPECS})
 
+#: Those of a run: new footage through a network that is there, without training. Where a stage is called as one of a
+#: job, it makes the same artifacts, so that whoever shows a job's tracks and conflicts shows a run's.
+RUN_STAGES: Mapping[str, StageSpec] = MappingProxyType(
+    {name: STAGES[name] for name in ("preflight", "calibrate", "sync")}
+    | {
+        spec.name: spec
+        for spec in (
+            StageSpec(
+                "track",
+                "Track in 7DoF",
+                (catalogue.PROBE, catalogue.CLOCKS, catalogue.CALIBRATED_RIG),
+                reads_recordings=True,
+                assets=("model", "usual", "open_tracks"),
+                module="watch",
+            ),
+            StageSpec("safety", "Find conflicts", (catalogue.TRACKS,), module="watch_safety"),
+        )
+    }
+)
+#: The stages of each kind of job.
+STAGES_OF: Mapping[JobKind, Mapping[str, StageSpec]] = MappingProxyType(
+    {JobKind.TRAINING: STAGES, JobKind.RUN: RUN_STAGES}
+)
+
 
 @dataclass(frozen=True)
 class InputDigests:
@@ -299,7 +331,9 @@ class PlannedStage:
     frame_hash: str | None = None
 
 
-def plan(site: Site, config: PipelineConfig, inputs: InputDigests) -> tuple[PlannedStage, ...]:
+def plan(
+    site: Site, config: PipelineConfig, inputs: InputDigests, kind: JobKind = JobKind.TRAINING
+) -> tuple[PlannedStage, ...]:
     """All stages of a job in order, with the addresses of their outputs.
 
     Assets that a stage only checks, and what it checks them with, belong to its own address, so that new ones are
@@ -309,11 +343,12 @@ def plan(site: Site, config: PipelineConfig, inputs: InputDigests) -> tuple[Plan
     Raises:
         InputError: the options ask for a file that was not given.
     """
-    require_assets(config, inputs.assets)
+    if kind is JobKind.TRAINING:
+        require_assets(config, inputs.assets)
     planned: list[PlannedStage] = []
     contents: dict[str, str] = {}
     frame_hashes: dict[str, str] = {}
-    for spec in STAGES.values():
+    for spec in STAGES_OF[kind].values():
         if spec.name in inputs.given:
             contents[spec.name] = _hash_of({"stage": spec.name, "given": inputs.given[spec.name]})
             planned.append(PlannedStage(spec.name, contents[spec.name], ()))

@@ -51,6 +51,18 @@ def digest_of(files: Iterable[tuple[str, str]]) -> str:
     return hashlib.sha256(json.dumps(ordered).encode()).hexdigest()
 
 
+def digest_of_recording(files: Iterable[tuple[str, str, int | None]]) -> str:
+    """The same where it also counts when each file began, if that is known of all of them.
+
+    Args:
+        files: name and SHA-256 (hex) of each, and `RecordingFile.started_ns`.
+    """
+    known = sorted(files, key=lambda file: file[:2])
+    if any(started is None for *_, started in known):
+        return digest_of((name, sha256) for name, sha256, _ in known)
+    return hashlib.sha256(json.dumps(known).encode()).hexdigest()
+
+
 def _is_beside(path: Path) -> bool:
     return path.name.startswith(".") or path.suffix.lower() in _BESIDE
 

@@ -15,6 +15,7 @@ from wibam_core.config import PipelineConfig
 from wibam_core.costs import Pace
 from wibam_core.documents.warnings import StageWarning
 from wibam_core.errors import MissingCamera, NotFound, WibamError
+from wibam_core.job_kind import JobKind
 from wibam_core.progress import Progress
 from wibam_core.site import Site
 from wibam_core.stages import recording_files
@@ -79,7 +80,8 @@ class SiteFolder:
 
 
 def _digest_of(recording: Recording) -> str:
-    return recording_files.digest_of((file.name, sha256_of(file.path)) for file in recording.files)
+    files = ((file.name, sha256_of(file.path), file.started_ns) for file in recording.files)
+    return recording_files.digest_of_recording(files)
 
 
 @dataclass(frozen=True)
@@ -142,6 +144,7 @@ def run_pipeline(
     until: str | None = None,
     expected_s: Mapping[str, float] = MappingProxyType({}),
     clock: Callable[[], float] = time.monotonic,
+    kind: JobKind = JobKind.TRAINING,
 ) -> PipelineResult:
     """Run every stage that the store does not hold yet, in order, up to and with ``until``.
 
@@ -154,6 +157,7 @@ def run_pipeline(
         expected_s: stage -> how long it is expected to take, see `wibam_core.costs`; says how long all will
             still take.
         clock: seconds, from any beginning.
+        kind: of the job; a run needs the asset "model" in its folder.
 
     Raises:
         InputError: the options ask for a file that the folder lacks.
@@ -163,9 +167,9 @@ def run_pipeline(
     folders: dict[str, Path] = {}
     summaries: dict[str, Summary] = {}
     seconds: dict[str, float] = {}
-    stages = plan(folder.site, config, folder.digests())
+    stages = plan(folder.site, config, folder.digests(), kind)
     store.remember({planned.name: planned.hash for planned in stages})
-    if "finetune" not in folder.given:
+    if kind is JobKind.TRAINING and "finetune" not in folder.given:
         _check_device(stages, store, config, until)
     wanted = stages if until is None else stages[: 1 + [planned.name for planned in stages].index(until)]
     to_make = [planned.name for planned in wanted if folder.made(planned, store) is None]
@@ -181,7 +185,7 @@ def run_pipeline(
             with store.turn(planned.hash, partial(report, 0.0, "another process runs this stage: waiting for it")):
                 found = store.find(name, planned.hash)
                 if found is None:
-                    found = _made(folder, store, config, planned, folders, report, listener, clock)
+                    found = _made(folder, store, config, planned, folders, report, listener, clock, kind)
                     state = "succeeded"
         manifest = ArtifactReader({name: found}).manifest(name)
         folders[name], summaries[name], seconds[name] = found, manifest.summary, manifest.seconds
@@ -215,11 +219,12 @@ def _made(
     report: Progress,
     listener: Callable[[StageUpdate], None],
     clock: Callable[[], float],
+    kind: JobKind,
 ) -> Path:
     """The published folder of a stage, run on those of the stages before."""
     name = planned.name
     attempt = store.begin(name, planned.hash, planned.frame_hash)
-    request = StageRequest.of(attempt, folder.site, config, folder.recordings, folder.assets, folders)
+    request = StageRequest.of(attempt, folder.site, config, folder.recordings, folder.assets, folders, kind)
     warnings: list[StageWarning] = []
     report(0.0)
     started = clock()

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+from bisect import bisect_left
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -32,6 +34,8 @@ _DUPLICATE_IOU = 0.1
 _MAX_SPEED_SD = 10.0
 #: A tracked road user is as large as the median of so many of its latest boxes.
 _LATEST_SIZES = 15
+#: How many numbers each array of a hit has.
+_HIT_WIDTHS = {"box": 7, "sd": 7, "votes": len(CLASSES), "headings": 2}
 
 
 @dataclass(frozen=True, eq=False)
@@ -114,6 +118,53 @@ class _Candidates:
             self.hits + more.hits,
         )
 
+    def to_arrays(self) -> dict[str, NDArray[Any]]:
+        """All that is known of them: arrays by name, without objects."""
+        hits = [hit for of_one in self.hits for hit in of_one]
+        return {
+            "mean": self.belief.mean,
+            "covariance": self.belief.covariance,
+            "times_ns": self.times_ns,
+            "boxes": self.boxes,
+            "votes": self.votes,
+            "sizes": self.sizes,
+            "hits": np.array([len(of_one) for of_one in self.hits], np.int64),
+            "hit_times_ns": np.array([hit.time_ns for hit in hits], np.int64),
+            **{
+                f"hit_{name}": np.array([getattr(hit, name) for hit in hits]).reshape(len(hits), width)
+                for name, width in _HIT_WIDTHS.items()
+            },
+        }
+
+    @classmethod
+    def of_arrays(cls, arrays: Mapping[str, NDArray[Any]]) -> _Candidates:
+        """What `to_arrays` gave.
+
+        Raises:
+            ValueError: they have another shape.
+        """
+        none, count = cls.none().to_arrays(), len(arrays["hits"])
+        for name, like in none.items():
+            found = arrays[name]
+            rows = int(arrays["hits"].sum()) if name.startswith("hit_") else count
+            if found.shape != (rows, *like.shape[1:]) or found.dtype != like.dtype:
+                raise ValueError(f"{name} has shape {found.shape} and type {found.dtype}")
+        every = [
+            Hit(int(time_ns), *of_one)
+            for time_ns, *of_one in zip(
+                arrays["hit_times_ns"], *(arrays[f"hit_{name}"] for name in _HIT_WIDTHS), strict=True
+            )
+        ]
+        ends = np.cumsum(arrays["hits"]).tolist()
+        return cls(
+            Belief(arrays["mean"].copy(), arrays["covariance"].copy()),
+            arrays["times_ns"].copy(),
+            arrays["boxes"].copy(),
+            arrays["votes"].copy(),
+            arrays["sizes"].copy(),
+            tuple(every[first:last] for first, last in pairwise([0, *ends])),
+        )
+
     def see(self, rows: Indices, belief: Belief, time_ns: int, fused: Fused, columns: Indices) -> None:
         """Candidates ``rows`` were seen as the fused boxes ``columns``, after which this is believed of them."""
         self.belief.mean[rows], self.belief.covariance[rows] = belief.mean, belief.covariance
@@ -176,6 +227,43 @@ class Tracker:
         updated = update(model.where(rows), expected.where(rows), _measurements(fused, columns))
         self._active.see(rows, updated, time_ns, fused, columns)
         self._begin(time_ns, fused, columns)
+
+    @property
+    def instants(self) -> Indices:
+        """(N,) the instants that are remembered."""
+        return np.array(self._instants, np.int64)
+
+    @property
+    def active(self) -> tuple[list[Hit], ...]:
+        """What was seen of each that is still followed. What is taken off the front of one is forgotten."""
+        return self._active.hits
+
+    def take_ended(self) -> list[list[Hit]]:
+        """What was seen of those that are followed no longer, and were not taken yet."""
+        ended, self._ended = self._ended, []
+        return ended
+
+    def forget_instants(self, before_ns: int) -> None:
+        """Remember no instant before this time: no track that is still to be had was there."""
+        self._instants = self._instants[bisect_left(self._instants, before_ns) :]
+
+    def is_proven(self, hits: Sequence[Hit]) -> bool:
+        """Whether a road user was seen often enough, at instants that are remembered, to be one."""
+        return self._is_proven(hits, self.instants)
+
+    def to_arrays(self) -> dict[str, NDArray[Any]]:
+        """Those that are still followed, and the instants, for `go_on`; nothing may have ended that was not taken."""
+        assert not self._ended, "take what has ended first"
+        return {"instants": self.instants, **self._active.to_arrays()}
+
+    def go_on(self, arrays: Mapping[str, NDArray[Any]]) -> None:
+        """Follow those again that another tracker followed when it gave these arrays.
+
+        Raises:
+            ValueError: they have another shape than this version's.
+        """
+        self._active = _Candidates.of_arrays(arrays)
+        self._instants = arrays["instants"].tolist()
 
     def tracks(self) -> list[Track]:
         """All tracks that were seen often enough, smoothed, numbered from 0 in the order of their first instant.

@@ -13,10 +13,12 @@ class RecordingFile:
     Attributes:
         path: where it lies.
         name: what the camera, or the user, called it: chapters are told by it.
+        started_ns: when its first frame was taken, Unix time; None: nobody said.
     """
 
     path: Path
     name: str
+    started_ns: int | None = None
 
     @classmethod
     def at(cls, path: Path) -> RecordingFile:
@@ -33,6 +35,11 @@ class Recording:
     def __post_init__(self) -> None:
         if not self.files:
             raise ValueError("a recording has at least one file")
+
+    @property
+    def is_dated(self) -> bool:
+        """Whether it is known of every file when it began; then the recording's clock is Unix time."""
+        return all(file.started_ns is not None for file in self.files)
 
     @classmethod
     def at(cls, *paths: Path) -> Recording:

@@ -18,7 +18,7 @@ from wibam_core.video.sampling import nearest_times
 from wibam_core.video.stamps import LONGEST_PAUSE_NS, REORDER_FRAMES, Sorted, sort_stamps
 
 IntArray = NDArray[np.int64]
-PlacedBy = Literal["stamps", "timecode", "chapter", "creation_time", "name", "assumed"]
+PlacedBy = Literal["stamps", "timecode", "chapter", "creation_time", "name", "stated", "assumed"]
 
 #: No frame of a recording has this time.
 UNUSED = int(np.iinfo(np.int64).min)
@@ -87,7 +87,7 @@ class _Place:
 def read_timeline(recording: Recording, *, look: bool = False) -> Timeline:
     """Read all packets of a recording, and find when each frame was taken.
 
-    The clock of the first file's first frame is the recording's.
+    The clock of the first file's first frame is the recording's; of a dated recording it is Unix time.
 
     Args:
         recording: its files.
@@ -102,6 +102,9 @@ def read_timeline(recording: Recording, *, look: bool = False) -> Timeline:
             raise UnreadableVideo(
                 f"{packets.file.name} holds {len(packets.stamps_ns)} frames with a timestamp: that is no recording"
             )
+    if recording.is_dated:
+        read.sort(key=lambda packets: _started_ns(packets))
+        return _joined([(packets, Named(packets.file.name, ())) for packets in read], dated=True)
     if len(read) == 1:
         return _joined([(read[0], Named(read[0].file.name, ()))])
     names = [packets.file.name for packets in read]
@@ -109,7 +112,12 @@ def read_timeline(recording: Recording, *, look: bool = False) -> Timeline:
     return _joined([(read[index], named) for index, named in order])
 
 
-def _joined(ordered: Sequence[tuple[FilePackets, Named]]) -> Timeline:
+def _started_ns(packets: FilePackets) -> int:
+    assert packets.file.started_ns is not None, "a dated recording"
+    return packets.file.started_ns
+
+
+def _joined(ordered: Sequence[tuple[FilePackets, Named]], *, dated: bool = False) -> Timeline:
     files: list[TimedFile] = []
     segments: list[Segment] = []
     missing: list[str] = []
@@ -120,10 +128,15 @@ def _joined(ordered: Sequence[tuple[FilePackets, Named]]) -> Timeline:
         stamps = sort_stamps(packets.stamps_ns)
         usual_ns = usual_ns or stamps.usual_ns
         place, goes_on = None, False
-        if before is not None:
+        if before is None and dated:
+            place = _Place(_started_ns(packets), "stated", False)
+        elif before is not None:
             whole = packets.with_lead_in()
             all_stamps = sort_stamps(whole.stamps_ns)
-            place = _place(before, segments[-1].last_ns, whole, named, all_stamps, usual_ns)
+            if dated:
+                place = _as_stated(before[0], segments[-1].last_ns, whole, all_stamps, usual_ns)
+            else:
+                place = _place(before, segments[-1].last_ns, whole, named, all_stamps, usual_ns)
             goes_on = place.exact and _one_decoder(before[0], packets) and not packets.in_order
             if goes_on:
                 packets, stamps = whole, all_stamps
@@ -231,6 +244,18 @@ def _place(
     if chapter:
         return _Place(next_ns, "chapter", True)
     return _Place(next_ns + missing * (last_ns - began_ns + usual_ns), "assumed", False)
+
+
+def _as_stated(before: FilePackets, last_ns: int, after: FilePackets, stamps: Sorted, usual_ns: int) -> _Place:
+    """When a file of a dated recording begins: as stated, but right behind the one before where that fits as well."""
+    started_ns, next_ns = _started_ns(after), last_ns + usual_ns
+    slack_ns = _WHOLE_SECONDS_NS if started_ns % _S == 0 else _EXACT_NS
+    if abs(started_ns - next_ns) > slack_ns:
+        return _Place(started_ns, "stated", False)
+    by_stamps = _by_stamps(before, stamps, last_ns)
+    if by_stamps is not None and -REORDER_FRAMES * usual_ns <= by_stamps - next_ns <= 2 * usual_ns:
+        return _Place(by_stamps, "stamps", True)
+    return _Place(next_ns, "stated", False)
 
 
 def _by_stamps(before: FilePackets, stamps: Sorted, last_ns: int) -> int | None:

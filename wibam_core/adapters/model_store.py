@@ -1,0 +1,218 @@
+"""Networks that the service keeps, in the database."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Collection
+from dataclasses import dataclass
+
+from sqlalchemy import func, select, update
+from sqlalchemy.exc import IntegrityError
+from sqlalchemy.orm import Session
+
+from wibam_core.adapters import records
+from wibam_core.adapters.database import Database
+from wibam_core.adapters.models import JobRow, StageRow, TrainedModelRow
+from wibam_core.documents.trained_model import ModelDocument
+from wibam_core.errors import Conflict, NotFound
+from wibam_core.job_kind import JobKind
+from wibam_core.jobs.records import ModelState, TrainedModel
+from wibam_core.jobs.states import JobState, StageState
+
+_TERMINAL = [state.value for state in JobState if state.is_terminal]
+_WITH_OUTPUTS = [state.value for state in StageState if state.has_outputs]
+
+
+@dataclass(frozen=True)
+class NewModel:
+    """A network whose files are in place, to be kept; the fields are those of `TrainedModel`.
+
+    ``stage_hash`` is the address of the outputs of fine-tuning that it was taken from.
+    """
+
+    id: str
+    name: str
+    site_id: str
+    job_id: str | None
+    stage_hash: str | None
+    sha256: str
+    size_bytes: int
+    has_onnx: bool
+    has_usual: bool
+    document: ModelDocument
+
+
+class ModelStore:
+    """What is known of the networks.
+
+    Args:
+        database: migrated.
+        now: Unix seconds.
+    """
+
+    def __init__(self, database: Database, now: Callable[[], float] = time.time) -> None:
+        self._database = database
+        self._now = now
+
+    def add(self, model: NewModel) -> TrainedModel | None:
+        """Keep a network as the next version of its site's; None where the same one of its job is kept already."""
+        try:
+            with self._database.writing(exclusive=True) as session:
+                latest = session.scalar(
+                    select(func.max(TrainedModelRow.version)).where(TrainedModelRow.site_id == model.site_id)
+                )
+                row = TrainedModelRow(
+                    id=model.id,
+                    name=records.plain_text(model.name),
+                    site_id=model.site_id,
+                    version=(latest or 0) + 1,
+                    state=ModelState.CANDIDATE.value,
+                    job_id=model.job_id,
+                    stage_hash=model.stage_hash,
+                    sha256=model.sha256,
+                    size_bytes=model.size_bytes,
+                    has_onnx=model.has_onnx,
+                    has_usual=model.has_usual,
+                    document=model.document.model_dump_json(by_alias=True),
+                    created_at=self._now(),
+                )
+                session.add(row)
+                session.flush()
+                return records.trained_model(row)
+        except IntegrityError:
+            return None
+
+    def models(
+        self,
+        site_id: str | None = None,
+        limit: int = 100,
+        *,
+        job_id: str | None = None,
+        states: Collection[ModelState] = (),
+        after: str | None = None,
+    ) -> list[TrainedModel]:
+        """Networks, the newest first.
+
+        Args:
+            site_id: of this site alone.
+            limit: how many at most.
+            job_id: made by this job.
+            states: in one of these; none: in any.
+            after: only those that follow this one in the list.
+
+        Raises:
+            NotFound: there is no network ``after``.
+        """
+        newest = select(TrainedModelRow).order_by(TrainedModelRow.created_at.desc(), TrainedModelRow.id).limit(limit)
+        if site_id is not None:
+            newest = newest.where(TrainedModelRow.site_id == site_id)
+        if job_id is not None:
+            newest = newest.where(TrainedModelRow.job_id == job_id)
+        if states:
+            newest = newest.where(TrainedModelRow.state.in_([state.value for state in states]))
+        with self._database.reading() as session:
+            if after is not None:
+                last = _row(session, after)
+                older = TrainedModelRow.created_at < last.created_at
+                same = (TrainedModelRow.created_at == last.created_at) & (TrainedModelRow.id > last.id)
+                newest = newest.where(older | same)
+            return [records.trained_model(row) for row in session.scalars(newest)]
+
+    def model(self, model_id: str) -> TrainedModel:
+        """Raises:
+        NotFound: there is no such network.
+        """
+        with self._database.reading() as session:
+            return records.trained_model(_row(session, model_id))
+
+    def promoted(self, site_id: str) -> TrainedModel:
+        """The network to use for a site.
+
+        Raises:
+            NotFound: none is promoted.
+        """
+        found = self.models(site_id, 1, states=[ModelState.PROMOTED])
+        if not found:
+            raise NotFound(f"no model of site {site_id} is promoted", hint="Name a model, or promote one.")
+        return found[0]
+
+    def of_file(self, sha256: str) -> TrainedModel | None:
+        """A network with this file, the oldest."""
+        oldest = select(TrainedModelRow).where(TrainedModelRow.sha256 == sha256).order_by(TrainedModelRow.created_at)
+        with self._database.reading() as session:
+            row = session.scalar(oldest.limit(1))
+            return None if row is None else records.trained_model(row)
+
+    def change(self, model_id: str, *, name: str | None = None, state: ModelState | None = None) -> TrainedModel:
+        """Call a network something, promote it, retire it, or make it a candidate again.
+
+        To promote one makes the one that was promoted a candidate.
+
+        Raises:
+            NotFound: there is no such network.
+        """
+        with self._database.writing(exclusive=True) as session:
+            row = _row(session, model_id)
+            if name is not None:
+                row.name = records.plain_text(name)
+            if state is ModelState.PROMOTED:
+                others = (TrainedModelRow.site_id == row.site_id) & (TrainedModelRow.state == state.value)
+                session.execute(update(TrainedModelRow).where(others).values(state=ModelState.CANDIDATE.value))
+            if state is not None:
+                row.state = state.value
+            session.flush()
+            session.refresh(row)
+            return records.trained_model(row)
+
+    def delete(self, model_id: str) -> None:
+        """Forget a network; its files may go then.
+
+        Raises:
+            NotFound: there is no such network.
+            Conflict: a run that has not ended works with it.
+        """
+        with self._database.writing(exclusive=True) as session:
+            row = _row(session, model_id)
+            using = session.scalar(
+                select(JobRow.id).where(JobRow.model_id == model_id, JobRow.state.not_in(_TERMINAL)).limit(1)
+            )
+            if using is not None:
+                raise Conflict(f"run {using} works with model {model_id}", hint="Cancel it first, or wait.", run=using)
+            session.delete(row)
+
+    def jobs_to_keep(self, limit: int = 100) -> list[tuple[str, str]]:
+        """Jobs that have trained, evaluated and used a network which is not kept yet, the newest first.
+
+        Of each its id, and the address of what fine-tuning has made.
+        """
+        trained = select(StageRow.job_id, StageRow.hash).where(
+            StageRow.name == "finetune", StageRow.state.in_(_WITH_OUTPUTS)
+        )
+        tracked = select(StageRow.job_id).where(StageRow.name == "track", StageRow.state.in_(_WITH_OUTPUTS))
+        evaluated = select(StageRow.job_id).where(StageRow.name == "evaluate", StageRow.state.in_(_WITH_OUTPUTS))
+        found = trained.subquery()
+        wanted = (
+            select(JobRow.id, found.c.hash)
+            .join(found, found.c.job_id == JobRow.id)
+            .outerjoin(
+                TrainedModelRow,
+                (TrainedModelRow.job_id == JobRow.id) & (TrainedModelRow.stage_hash == found.c.hash),
+            )
+            .where(
+                JobRow.kind == JobKind.TRAINING.value,
+                JobRow.id.in_(tracked),
+                JobRow.id.in_(evaluated),
+                TrainedModelRow.id.is_(None),
+            )
+            .order_by(JobRow.created_at.desc())
+            .limit(limit)
+        )
+        with self._database.reading() as session:
+            return [(job_id, stage_hash) for job_id, stage_hash in session.execute(wanted)]
+
+
+def _row(session: Session, model_id: str) -> TrainedModelRow:
+    row = session.get(TrainedModelRow, model_id)
+    if row is None:
+        raise NotFound(f"there is no model {model_id}", hint="List the models to see their ids.")
+    return row
