@@ -23,12 +23,6 @@ def prior_of(rig: CameraRig, residuals: CalibrationResiduals, config: RefineConf
     return Prior(rig, np.stack([_covariance(residuals, camera_id, config) for camera_id in rig]))
 
 
-def known_covariances(rig: CameraRig, residuals: CalibrationResiduals) -> dict[str, FloatArray]:
-    """Camera id -> (6, 6) covariance of rotation and position, of the cameras that were solved from enough points."""
-    found = {camera_id: residuals.cameras[camera_id].covariance for camera_id in rig if camera_id in residuals.cameras}
-    return {camera_id: np.array(matrix)[:6, :6] for camera_id, matrix in found.items() if matrix is not None}
-
-
 def _covariance(residuals: CalibrationResiduals, camera_id: str, config: RefineConfig) -> FloatArray:
     camera = residuals.cameras.get(camera_id)
     unknowns = _UNKNOWNS[config.intrinsics]

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 
 import numpy as np
 
@@ -16,9 +15,10 @@ from wibam_core.errors import NoMultiViewVehicles, NoVehicles
 from wibam_core.progress import Progress, part, silent
 from wibam_core.refinement.bundle import Adjusted, adjust
 from wibam_core.refinement.cameras import K1, LOG_FOCAL, POSITION, ROTATION, Prior
-from wibam_core.refinement.prior import known_covariances, prior_of
+from wibam_core.refinement.prior import prior_of
 from wibam_core.refinement.sightings import Sightings, choose
-from wibam_core.scene import AnnotatedInstant, CameraRig, FloatArray
+from wibam_core.refinement.unchanged import Refined, unchanged
+from wibam_core.scene import AnnotatedInstant, CameraRig
 
 #: Which boxes are of one vehicle follows from the cameras, and these from the vehicles: so often in turn.
 _ROUNDS = 2
@@ -30,15 +30,6 @@ _CERTAIN_SD = 2.0
 _CLIP_SD = 4.0
 #: A clock that seems to be off by more than this is worth a word, ms.
 _LATE_MS = 25.0
-
-
-@dataclass(frozen=True, eq=False)
-class Refined:
-    """The cameras to go on with, what was found, and what a person should know of it."""
-
-    rig: CameraRig
-    document: Refinement
-    cautions: tuple[Caution, ...] = ()
 
 
 def refine(
@@ -54,16 +45,13 @@ def refine(
         instants: in order of time, with detections; their vehicles are ignored.
         rig: the cameras as calibrated.
         residuals: of that calibration; its covariances hold the cameras where the traffic says little.
-        config: whether, what, and when the result is taken.
+        config: what, and when the result is taken.
         progress: told now and then.
     """
-    known = known_covariances(rig, residuals)
-    if config.method == "none":
-        return _unchanged(rig, config, "refine.method is none", known)
     if rig.views:
-        return _unchanged(rig, config, "cameras with wide lenses are not refined", known)
+        return unchanged(rig, residuals, config, "cameras with wide lenses are not refined")
     if len(rig) < 2:
-        return _unchanged(rig, config, "there is one camera alone", known)
+        return unchanged(rig, residuals, config, "there is one camera alone")
     prior, found = prior_of(rig, residuals, config), None
     poses = {camera_id: matrix[:6, :6] for camera_id, matrix in zip(rig, prior.covariance, strict=True)}
     for number in range(_ROUNDS):
@@ -72,11 +60,11 @@ def refine(
         try:
             associated = associate(instants, current, AssociateConfig(), part(own, 0.0, 0.4), poses)
         except (NoVehicles, NoMultiViewVehicles) as error:
-            return _unchanged(rig, config, error.message, known)
+            return unchanged(rig, residuals, config, error.message)
         sightings = choose(associated, current)
         if sightings.vehicle_count < config.min_vehicles:
             seen = f"{sightings.vehicle_count} moving vehicles were seen by several cameras"
-            return _unchanged(rig, config, f"{seen}, fewer than refine.min_vehicles ({config.min_vehicles})", known)
+            return unchanged(rig, residuals, config, f"{seen}, fewer than refine.min_vehicles ({config.min_vehicles})")
         own(0.4, f"adjusting cameras to {sightings.vehicle_count} vehicles")
         held_out = np.arange(sightings.vehicle_count) % _HELD_OUT_EVERY == _HELD_OUT_EVERY - 1
         found = adjust(sightings.of_vehicles(~held_out), prior, found, clock_sd_s=config.clock_sd_s)
@@ -84,16 +72,10 @@ def refine(
     assert found is not None
     judged = _judged(sightings.of_vehicles(held_out), rig, found.rig, config)
     if judged is None:
-        return _unchanged(
-            rig, config, "fewer than two vehicles were held out that the cameras could be judged by", known
-        )
+        reason = "fewer than two vehicles were held out that the cameras could be judged by"
+        return unchanged(rig, residuals, config, reason)
     progress(1.0, "refined" if _is_better(judged, config) else "kept as calibrated")
     return _result(rig, found, judged, sightings.of_vehicles(~held_out), config)
-
-
-def _unchanged(rig: CameraRig, config: RefineConfig, reason: str, known: dict[str, FloatArray]) -> Refined:
-    covariances = {camera_id: matrix.tolist() for camera_id, matrix in known.items()}
-    return Refined(rig, Refinement(method=config.method, taken=False, reason=reason, covariances=covariances))
 
 
 def _judged(sightings: Sightings, before: CameraRig, after: CameraRig, config: RefineConfig) -> HeldOut | None:

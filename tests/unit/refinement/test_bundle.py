@@ -11,7 +11,8 @@ from wibam_core.config import RefineConfig
 from wibam_core.documents.calibration import CalibrationResiduals, CameraResiduals
 from wibam_core.geometry.torch_ops import CameraTensors
 from wibam_core.refinement.cameras import K1, LOG_FOCAL, changed, slopes_by_lens
-from wibam_core.refinement.prior import known_covariances, prior_of
+from wibam_core.refinement.prior import prior_of
+from wibam_core.refinement.unchanged import known_covariances
 from wibam_core.scene import CameraRig
 
 CAMERA = look_at((20.0, -12.0, 8.0))

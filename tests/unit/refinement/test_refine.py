@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import subprocess
+import sys
 from dataclasses import replace
 from pathlib import Path
 
@@ -84,7 +86,7 @@ def test_cameras_that_are_right_stay_to_the_bit_and_an_error_they_may_have_is_st
 
 @pytest.mark.parametrize(
     ("options", "words"),
-    [({"method": "none"}, "none"), ({"min_vehicles": 500}, "fewer than refine.min_vehicles"), ({}, "two cameras")],
+    [({"min_vehicles": 500}, "fewer than refine.min_vehicles"), ({}, "two cameras")],
 )
 def test_where_nothing_can_be_said_cameras_stay_and_it_is_said_why(options: dict[str, object], words: str) -> None:
     scene = crossing()
@@ -118,3 +120,9 @@ def test_stage_passes_the_rig_on_where_it_is_switched_off(tmp_path: Path) -> Non
     written = folders.read(catalogue.RIG)
     assert off_deg(written, scene.rig) == [0.0] * len(scene.rig)
     assert folders.read(catalogue.REFINEMENT).method == "none"
+    assert folders.read(catalogue.REFINEMENT).reason == "refine.method is none"
+
+
+def test_the_stage_loads_no_torch_where_it_is_switched_off() -> None:
+    program = "import sys, wibam_core.stages.refine; assert 'torch' not in sys.modules"
+    subprocess.run([sys.executable, "-c", program], check=True)
