@@ -42,7 +42,8 @@ class Options:
     Attributes:
         sites: how many. seed: of the first. seconds: length of each recording.
         max_offset_s: recordings start at most so far apart. max_drift_ppm: of a clock.
-        cycle_s: of the lights. jitter_s: by how much a green phase varies; 0: a fixed cycle.
+        cycle_s: of the lights. jitter_s: by how much a green phase varies; 0: a fixed cycle. step_s: greens last for
+            whole multiples of this; 0: for any time.
         rate_hz: frames a second that are searched for vehicles.
         missed: share of vehicles in a frame, and of light changes, that are not seen. false: false boxes a frame.
         noise_px, noise_share: standard deviation of an edge, in px and as a share of the box's side.
@@ -56,6 +57,7 @@ class Options:
     max_drift_ppm: float = 1000.0
     cycle_s: float = 60.0
     jitter_s: float = 0.0
+    step_s: float = 0.0
     rate_hz: float = 5.0
     missed: float = 0.1
     false: float = 0.2
@@ -113,6 +115,7 @@ def _events(
     while now_s < until_s:
         for phase in PHASES:
             green_s = max(program.green_s + rng.uniform(-1, 1) * options.jitter_s, 4.0)
+            green_s = round(green_s / options.step_s) * options.step_s if options.step_s else green_s
             steps = ((0.0, "red", "green"), (green_s, "green", "amber"), (green_s + 3.0, "amber", "red"))
             found += [(now_s + after_s, phase, before, after) for after_s, before, after in steps]
             now_s += green_s + program.amber_s + program.all_red_s

@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 from wibam_core.clocks import ClockMap, SignalChange
 from wibam_core.formats.clocks import ClockError
 from wibam_core.sync.matching import Alignment, ChangeGroup, match_changes
+from wibam_core.sync.rounding import regular_times, rounding_covariance
 
 Array = NDArray[np.float64]
 
@@ -27,9 +28,8 @@ DRIFT_SD_PPM = 30.0
 _DRIFT_FREEDOM = 2.0
 #: No change is timed better than this: lamps need time to light up, rows of a frame are exposed one by one.
 _SMALLEST_S = 0.002
-#: What the standard deviations of both ends of amber are multiplied by: they count as one observation. Amber lasts for
-#: whole seconds, whole numbers of frame intervals at most rates, so that both are timed with the same error.
-_AMBER_SHARED = np.sqrt(2.0)
+#: How far the frames of a camera may slide past the changes, in standard deviations of its drift.
+_SLIDES = (-1.2, 0.0, 1.2)
 #: Residuals beyond this many standard deviations count less (a uniform error ends at 1.7).
 _HUBER = 2.0
 
@@ -130,12 +130,14 @@ class _System:
     clocks, whose drifts are ``drift_ppm``."""
 
     group: NDArray[np.int64]
+    camera: NDArray[np.int64]
     rough: Array
     half: Array
     design: Array
     drift_ppm: Array
     centre_s: Array
-    groups: int
+    group_s: Array
+    kinds: tuple[tuple[str, str, str], ...]
     between: Array
     between_at_s: Array
     between_sd_s: Array
@@ -227,14 +229,14 @@ def _system(
         row[2 * k : 2 * k + 2] = 1.0, (local_s - centre_s[k]) * 1e-6
         return local_s + offset_s + drift * local_s, row
 
-    index, at, half, rows = [], [], [], []
+    index, at, half, rows, cameras = [], [], [], [], []
     for g, group in enumerate(groups):
         for camera_id, change in group.seen.items():
             rough_s, row = seen(camera_id, change.time_ns / 1e9)
             index.append(g)
             at.append(rough_s - group.time_s)
-            shared = _AMBER_SHARED if "amber" in (change.before, change.after) else 1.0
-            half.append(shared * max(change.half_interval_ns / 1e9, _SMALLEST_S))
+            half.append(max(change.half_interval_ns / 1e9, _SMALLEST_S))
+            cameras.append(column.get(camera_id, -1))
             rows.append(row)
     between, between_at, between_sd = [], [], []
     for meeting in meetings:
@@ -251,12 +253,14 @@ def _system(
             between_sd.append(sd_s)
     return _System(
         group=np.array(index, dtype=np.int64),
+        camera=np.array(cameras, dtype=np.int64),
         rough=np.array(at),
         half=np.array(half),
         design=np.array(rows).reshape(-1, 2 * len(others)),
         drift_ppm=np.array([1e6 * drift for _, drift in rough.values()]),
         centre_s=centre_s,
-        groups=len(groups),
+        group_s=np.array([group.time_s for group in groups]),
+        kinds=tuple(group.key for group in groups),
         between=np.array(between).reshape(-1, 2 * len(others)),
         between_at_s=np.array(between_at),
         between_sd_s=np.array(between_sd),
@@ -271,11 +275,12 @@ def _least_squares(system: _System) -> tuple[Array, Array]:
     """
     unknowns = 2 * len(system.drift_ppm)
     m = len(system.group)
-    picks = np.zeros((m, system.groups))
+    groups = len(system.kinds)
+    picks = np.zeros((m, groups))
     picks[np.arange(m), system.group] = 1.0
     rows = np.concatenate([-system.design, picks], axis=1)
     sigma = system.half / np.sqrt(3.0)
-    pairs = np.concatenate([system.between, np.zeros((len(system.between), system.groups))], axis=1)
+    pairs = np.concatenate([system.between, np.zeros((len(system.between), groups))], axis=1)
     robust, pairs_robust = np.ones(m), np.ones(len(pairs))
     prior_sd = np.maximum(DRIFT_SD_PPM, np.abs(system.drift_ppm))
     for _ in range(15):
@@ -294,8 +299,25 @@ def _least_squares(system: _System) -> tuple[Array, Array]:
         pairs_robust = np.minimum(1.0, _HUBER / np.maximum(pairs_error, 1e-12))
         drift_ppm = system.drift_ppm + solution[1:unknowns:2]
         prior_sd = DRIFT_SD_PPM * np.sqrt((_DRIFT_FREEDOM + (drift_ppm / DRIFT_SD_PPM) ** 2) / (_DRIFT_FREEDOM + 1))
-    covariance = np.linalg.pinv(A.T @ A)[:unknowns, :unknowns]
-    freedom = max(m - system.groups + len(pairs) - unknowns, 1)
+    inverse = np.linalg.pinv(A.T @ A)
+    gain = inverse[:unknowns] @ A.T
+    late_s = rows @ solution - system.rough
+    sd_s = np.sqrt(np.diag(inverse)[unknowns:])
+    order = np.argsort(system.group_s + solution[unknowns:], kind="stable")
+    times_s = (system.group_s + solution[unknowns:])[order]
+    moved_s, sets = np.empty(groups), np.empty(groups, np.int64)
+    regular_s, sets[order] = regular_times([system.kinds[g] for g in order], times_s, sd_s[order])
+    moved_s[order] = regular_s - times_s
+    late_s += moved_s[system.group]
+    others = gain[:, m:]
+    known = others @ others.T
+    slides = np.zeros((1, m))
+    for _ in range(2):
+        covariance = known + rounding_covariance(
+            gain[:, :m] * weight, system.camera, sets[system.group], system.half, late_s, slides
+        )
+        slides = np.array(_SLIDES)[:, None] * (system.design[:, 1::2] @ np.sqrt(np.diag(covariance)[1::2]))
+    freedom = max(m - groups + len(pairs) - unknowns, 1)
     squares = float((robust * error**2).sum() + (pairs_robust * pairs_error**2).sum())
     return solution[:unknowns], np.sqrt(np.diag(covariance) * max(1.0, squares / freedom))
 
