@@ -20,9 +20,10 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
+from wibam_core.sync.biases import Samples, joined, solve
 from wibam_core.sync.offsets import Meeting
 from wibam_core.sync.paths import GroundPath
-from wibam_core.sync.search import DECISIVE, Candidate, Pairs, Watched, search, unlikelihood
+from wibam_core.sync.search import DECISIVE, Candidate, Pairs, Watched, one_to_one, search, unlikelihood
 
 Array = NDArray[np.float64]
 
@@ -40,20 +41,13 @@ _TOLERANCE_S = 0.3
 _EXPECTED_S = 1.0
 #: Fewer road users than this prove nothing.
 _LEAST_MET = 5
-#: How much one road user's ground point is off all the way, how much from sample to sample, and how much the bias of a
-#: place may be: standard deviations, m.
-_OWN_SD_M = 0.4
-_SAMPLE_SD_M = 0.25
-_BIAS_SD_M = 1.0
-#: These are of samples whose two places are known so well; of others they are as many times larger or smaller, m.
-_TYPICAL_SD_M = 1.0
-#: Unit of places in the model of the biases, m.
-_PLACE_UNIT_M = 20.0
-_HUBER = 1.5
-#: Standard deviation of the drift before: what is known of crystals comes in where all cameras are solved.
-_DRIFT_SD = 2e-3
-#: What is left of the biases in a pair of cameras: measured on simulated sites, s (benchmarks/synchronisation.py).
-_FLOOR_S = 0.05
+#: How often the clocks are corrected; before the last two times, who is who is asked again.
+_TURNS = 4
+#: A road user that both see lies no farther from itself than this, for at least so many samples.
+_SAME_M = 2.5
+_LEAST_SAMPLES = 3
+#: No moment is known better than this: frames are exposed for some time, and row by row, s.
+_FLOOR_S = 0.003
 
 
 @dataclass(frozen=True, eq=False)
@@ -145,15 +139,17 @@ def refine(
     offset_s, drift = rough.offset_s, rough.drift
     solved: tuple[Array, Array] | None = None
     centre_s = 0.0
-    for _ in range(4):
+    for turn in range(_TURNS):
+        if turn == _TURNS - 2:
+            met = _met(first, second, offset_s, drift) or met
         samples = _compared(first, second, met, offset_s, drift)
         if len(np.unique(samples.road_user)) < _LEAST_MET:
             return None
         weight = (samples.velocity_mps**2).sum(axis=1)
         centre_s = float((weight * samples.second_s).sum() / weight.sum())
-        solved = _solve(samples, centre_s, drift)
-        shift, turn = solved[0].tolist()
-        offset_s, drift = offset_s + shift - turn * centre_s, drift + turn
+        solved = solve(samples, centre_s, drift)
+        shift, rate = solved[0].tolist()
+        offset_s, drift = offset_s + shift - rate * centre_s, drift + rate
     assert solved is not None
     covariance = solved[1]
     # The moment at which the errors of offset and drift are independent.
@@ -234,23 +230,21 @@ def _possible(first: Sequence[GroundPath], second: Sequence[GroundPath]) -> Pair
     )
 
 
-@dataclass(frozen=True, eq=False)
-class _Samples:
-    """Road users (N samples) as both cameras see them at one moment, as clocks say.
-
-    Attributes:
-        road_user: (N,) ascending numbers.
-        second_s: (N,) on the second camera's clock.
-        point_m, velocity_mps: (N, 2) means of both. apart_m: (N, 2) the first's minus the second's.
-        sd_m: (N,) standard deviations of the latter.
-    """
-
-    road_user: NDArray[np.int64]
-    second_s: Array
-    point_m: Array
-    velocity_mps: Array
-    apart_m: Array
-    sd_m: Array
+def _met(
+    first: Sequence[GroundPath], second: Sequence[GroundPath], offset_s: float, drift: float
+) -> list[tuple[int, int]]:
+    """Ways of one road user, those that stand or creep included, once the clocks are known to a tenth of a second."""
+    begins = np.array([offset_s + (1 + drift) * path.times_s[0] for path in second])
+    ends = np.array([offset_s + (1 + drift) * path.times_s[-1] for path in second])
+    rows = []
+    for i, path in enumerate(first):
+        for j in np.flatnonzero((begins < path.times_s[-1]) & (ends > path.times_s[0])).tolist():
+            samples = _compared(first, second, [(i, j)], offset_s, drift)
+            if len(samples) >= _LEAST_SAMPLES:
+                rows.append((i, j, float(np.median(np.linalg.norm(samples.apart_m, axis=1)))))
+    near = np.array([row for row in rows if row[2] < _SAME_M]).reshape(-1, 3)
+    i, j = near[:, 0].astype(np.int64), near[:, 1].astype(np.int64)
+    return [(int(i[k]), int(j[k])) for k in one_to_one(i, j, near[:, 2])]
 
 
 def _compared(
@@ -259,8 +253,8 @@ def _compared(
     met: Sequence[tuple[int, int]],
     offset_s: float,
     drift: float,
-) -> _Samples:
-    numbers, times, points, velocities, aparts, spreads = [], [], [], [], [], []
+) -> Samples:
+    parts = []
     for number, (i, j) in enumerate(met):
         one, other = first[i], second[j]
         at_s = (one.times_s - offset_s) / (1 + drift)
@@ -273,16 +267,17 @@ def _compared(
         at_s = at_s[inside]
         theirs = _hermite(other, at_s)
         speeds = np.column_stack([np.interp(at_s, other.times_s, other.velocities_mps[:, k]) for k in (0, 1)])
-        numbers.append(np.full(len(at_s), number))
-        times.append(at_s)
-        points.append(0.5 * (one.points_m[inside] + theirs))
-        velocities.append(0.5 * (one.velocities_mps[inside] + speeds))
-        aparts.append(one.points_m[inside] - theirs)
-        spreads.append(np.hypot(one.sd_m[inside], np.interp(at_s, other.times_s, other.sd_m)))
-    if not numbers:
-        nothing = np.empty((0, 2))
-        return _Samples(np.empty(0, np.int64), np.empty(0), nothing, nothing, nothing, np.empty(0))
-    return _Samples(*(np.concatenate(x) for x in (numbers, times, points, velocities, aparts, spreads)))
+        parts.append(
+            Samples(
+                np.full(len(at_s), number),
+                at_s,
+                0.5 * (one.points_m[inside] + theirs),
+                0.5 * (one.velocities_mps[inside] + speeds),
+                one.points_m[inside] - theirs,
+                np.hypot(one.sd_m[inside], np.interp(at_s, other.times_s, other.sd_m)),
+            )
+        )
+    return joined(parts)
 
 
 def _hermite(path: GroundPath, at_s: Array) -> Array:
@@ -297,68 +292,3 @@ def _hermite(path: GroundPath, at_s: Array) -> Array:
         + u**2 * (3 - 2 * u) * p[k + 1]
         + u**2 * (u - 1) * step * v[k + 1]
     )
-
-
-def _solve(samples: _Samples, centre_s: float, drift: float) -> tuple[Array, Array]:
-    """By how much offset (s, at ``centre_s``) and drift are wrong, and their covariance (2, 2).
-
-    A first camera's clock that is thought to be ``e`` too late sees road users ``e`` further on: they are apart by
-    ``- velocity * e`` and by the biases. The covariance takes each road user as one observation (a sandwich), since all
-    samples of one share their errors.
-    """
-    n = len(samples.second_s)
-    place = (samples.point_m - samples.point_m.mean(axis=0)) / _PLACE_UNIT_M
-    turn = 2 * np.arctan2(samples.velocity_mps[:, 1], samples.velocity_mps[:, 0])
-    moving = np.minimum(np.linalg.norm(samples.velocity_mps, axis=1) / _LEAST_SPEED_MPS, 1.0)
-    axis = np.column_stack([np.ones(n), np.cos(turn) * moving, np.sin(turn) * moving])
-    x, y = place.T
-    field = np.column_stack([np.ones(n), x, y, x * x, x * y, y * y])
-    basis = (field[:, :, None] * axis[:, None, :]).reshape(n, -1)
-    since = samples.second_s - centre_s
-    width = basis.shape[1]
-    design = np.zeros((n, 2, 2 + 2 * width))
-    for k in (0, 1):
-        design[:, k, 0] = samples.velocity_mps[:, k]
-        design[:, k, 1] = samples.velocity_mps[:, k] * since
-        design[:, k, 2 + k * width : 2 + (k + 1) * width] = basis
-    # first = second + offset: where the first is truly at second + offset + e, it was compared e too early.
-    observed = -samples.apart_m
-    scale = (samples.sd_m / _TYPICAL_SD_M)[:, None]
-    design, observed = design / scale[:, :, None], observed / scale
-    bounds = np.append(np.flatnonzero(np.diff(samples.road_user, prepend=-1)), n)
-    groups = list(pairwise(bounds.tolist()))
-    for begin, end in groups:
-        count = end - begin
-        kept = 1.0 - 1.0 / np.sqrt(1.0 + count * (_OWN_SD_M / _SAMPLE_SD_M) ** 2)
-        design[begin:end] -= kept * design[begin:end].mean(axis=0)
-        observed[begin:end] -= kept * observed[begin:end].mean(axis=0)
-    prior = np.full(2 + 2 * width, 1.0 / _BIAS_SD_M**2) * _SAMPLE_SD_M**2
-    prior[0] = 0.0
-    prior[1] = (_SAMPLE_SD_M / _DRIFT_SD) ** 2
-    told = np.zeros(2 + 2 * width)
-    told[1] = -drift
-    weight = np.ones(len(groups))
-    for _ in range(8):
-        bread = np.diag(prior)
-        right = prior * told
-        for g, (begin, end) in enumerate(groups):
-            A, b = design[begin:end].reshape(-1, 2 + 2 * width), observed[begin:end].reshape(-1)
-            bread = bread + weight[g] * A.T @ A
-            right = right + weight[g] * A.T @ b
-        solution = np.linalg.solve(bread, right)
-        left = observed - design @ solution
-        rms = np.array([np.sqrt((left[begin:end] ** 2).mean()) for begin, end in groups])
-        usual = max(1.5 * float(np.median(rms)), 1e-6)
-        weight = np.minimum(1.0, (_HUBER * usual / np.maximum(rms, 1e-9)) ** 2)
-    inverse = np.linalg.inv(bread)
-    meat = np.diag(prior) * _SAMPLE_SD_M**2
-    effective = 0.0
-    for g, (begin, end) in enumerate(groups):
-        A = design[begin:end].reshape(-1, 2 + 2 * width)
-        score = weight[g] * A.T @ left[begin:end].reshape(-1)
-        meat = meat + np.outer(score, score)
-        effective += weight[g]
-    used = float(np.trace(inverse @ (bread - np.diag(prior))))
-    correction = effective / max(effective - min(used / 2, effective - 2), 2.0)
-    covariance = inverse @ meat @ inverse * correction
-    return np.asarray(solution[:2], np.float64), covariance[:2, :2]
