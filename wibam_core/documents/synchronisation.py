@@ -63,6 +63,19 @@ class Alternative(Document):
     """It explains the changes far worse than the one that was taken."""
 
 
+class PlacedSegment(Document):
+    """A segment of a recording that lies elsewhere than assumed: the camera was off for an unknown time before it."""
+
+    from_s: float
+    """Its beginning, on the camera's own clock."""
+    shift_s: float
+    """By how much later it lies than where it was put."""
+    sd_s: float
+    """Standard deviation of its place on the reference clock, in the middle of what tells it."""
+    matched: int
+    """How many of its light changes other cameras saw, too."""
+
+
 class CameraClock(Document):
     """One camera's clock against the reference."""
 
@@ -88,6 +101,10 @@ class CameraClock(Document):
     """Road users that it was found to share with another camera: the most with any one."""
     decided_by_traffic: bool = False
     """The traffic has chosen among offsets that the lights leave open, or the camera shares no light change."""
+    segments: list[PlacedSegment] = Field(default_factory=list)
+    """Segments of the recording that were placed by themselves; offset and drift are those of its beginning."""
+    assumed_from_s: list[float] = Field(default_factory=list)
+    """Beginnings, on the camera's own clock, of segments that nothing places: they lie where they were put."""
 
 
 class TrafficPair(Document):

@@ -5,6 +5,7 @@ from __future__ import annotations
 import threading
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
+from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,11 +23,13 @@ from wibam_core.stages.base import StageContext, Summary
 from wibam_core.stages.passing import passing
 from wibam_core.sync.changes import detect_changes
 from wibam_core.sync.document import LEAST_SHARE, ambiguities, doubts, sync_document
-from wibam_core.sync.witnesses import Synchronised, synchronise
+from wibam_core.sync.segments import InSegments, Span, synchronise_segments
 from wibam_core.video.decode import decode
 
 Frame = tuple[int, NDArray[np.uint8]]
 
+#: What places a segment no better than to a second.
+_UNSURE = ("assumed", "creation_time", "name")
 _DECODERS = 2
 _FRAMES_PER_REPORT = 50
 
@@ -58,16 +61,17 @@ def run(context: StageContext, config: SyncConfig) -> Summary:
     if found is None:
         rig = context.read(CALIBRATED_RIG)
         paths = passing(context, rig, infos, config.traffic_rate_hz, part(context.progress, 0.3, 1.0))
-        found = synchronise(
-            _spans_s(infos),
+        found = synchronise_segments(
+            _segments_s(infos),
             context.site.camera_ids[0],
             changes=_confident(changes, config),
             paths=paths,
             max_offset_s=config.max_offset_s,
         )
     context.progress(1.0)
-    result = found.result
-    document = sync_document(changes, result, found.traffic, found.disagreeing)
+    whole = found.found
+    result = whole.result
+    document = sync_document(changes, result, whole.traffic, whole.disagreeing, found.placed, found.assumed)
     cautions = [*ambiguities(document), *doubts(document, config.max_offset_s)]
     context.write(CLOCKS, Clocks(result.clocks, result.errors))
     context.write(CHANGES, document)
@@ -81,19 +85,21 @@ def _by_lights(
     config: SyncConfig,
     infos: Mapping[str, VideoInfo],
     changes: Mapping[str, Sequence[SignalChange]],
-) -> Synchronised | None:
+) -> InSegments | None:
     """The lights' answer; None where the traffic is to be asked, since the lights leave something open."""
     reference = context.site.camera_ids[0]
     confident = _confident(changes, config)
     if config.method == "signals":
-        return synchronise(_spans_s(infos), reference, changes=confident, max_offset_s=config.max_offset_s)
+        return synchronise_segments(_segments_s(infos), reference, changes=confident, max_offset_s=config.max_offset_s)
     if any(not confident.get(camera_id) for camera_id in infos):
         return None
     try:
-        found = synchronise(_spans_s(infos), reference, changes=confident, max_offset_s=config.max_offset_s)
+        found = synchronise_segments(_segments_s(infos), reference, changes=confident, max_offset_s=config.max_offset_s)
     except NoSignalChange:
         return None
-    doubtful = found.is_ambiguous or any(one.taken.share < LEAST_SHARE for one in found.result.alignments.values())
+    lit = found.found
+    doubtful = lit.is_ambiguous or any(one.taken.share < LEAST_SHARE for one in lit.result.alignments.values())
+    doubtful |= any(found.assumed.values())
     return None if doubtful else found
 
 
@@ -103,8 +109,14 @@ def _confident(changes: Mapping[str, Sequence[SignalChange]], config: SyncConfig
     }
 
 
-def _spans_s(infos: Mapping[str, VideoInfo]) -> dict[str, tuple[float, float]]:
-    return {camera_id: (info.first_ns / 1e9, info.last_ns / 1e9) for camera_id, info in infos.items()}
+def _segments_s(infos: Mapping[str, VideoInfo]) -> dict[str, list[Span]]:
+    """Camera id -> stretches of its recording between which the time that passed is not known to a frame."""
+    found: dict[str, list[Span]] = {}
+    for camera_id, info in infos.items():
+        begins = [info.first_ns, *(one.first_ns for one in info.segments[1:] if one.placed_by in _UNSURE)]
+        ends = [*(one.last_ns for one, then in pairwise(info.segments) if then.placed_by in _UNSURE), info.last_ns]
+        found[camera_id] = [(begin / 1e9, end / 1e9) for begin, end in zip(begins, ends, strict=True)]
+    return found
 
 
 def _detect_all(

@@ -12,6 +12,7 @@ from wibam_core.documents.synchronisation import (
     CameraClock,
     ChangeGroup,
     Observation,
+    PlacedSegment,
     SeenChange,
     Synchronisation,
     TrafficPair,
@@ -20,6 +21,7 @@ from wibam_core.documents.warnings import Caution
 from wibam_core.errors import NoSignalChange
 from wibam_core.sync.matching import Alignment, Offset
 from wibam_core.sync.offsets import SyncResult
+from wibam_core.sync.segments import Placed
 from wibam_core.sync.traffic import TrafficAlignment
 
 #: A clock under which a smaller share of the changes meets is doubtful.
@@ -35,6 +37,8 @@ def sync_document(
     result: SyncResult,
     traffic: Sequence[TrafficAlignment] = (),
     disagreeing: Sequence[str] = (),
+    placed: Mapping[str, Sequence[Placed]] | None = None,
+    assumed: Mapping[str, Sequence[float]] | None = None,
 ) -> Synchronisation:
     """All changes, which of them were matched, and how far each camera was from the reference before and after.
 
@@ -43,6 +47,8 @@ def sync_document(
         result: what was made of the confident ones, and of the traffic.
         traffic: what road users say of each two cameras.
         disagreeing: cameras whose light changes were left out, since the traffic says otherwise.
+        placed: camera id -> segments of its recording that were placed by themselves.
+        assumed: camera id -> beginnings of segments that nothing places.
     """
     matched = {(c, change) for group in result.groups for c, change in group.seen.items()}
     return Synchronisation(
@@ -72,7 +78,15 @@ def sync_document(
             )
             for g, group in enumerate(result.groups)
         ],
-        cameras={camera_id: _camera(camera_id, changes, result, traffic) for camera_id in result.clocks},
+        cameras={
+            camera_id: _camera(camera_id, changes, result, traffic).model_copy(
+                update={
+                    "segments": [PlacedSegment(**vars(one)) for one in (placed or {}).get(camera_id, ())],
+                    "assumed_from_s": list((assumed or {}).get(camera_id, ())),
+                }
+            )
+            for camera_id in result.clocks
+        },
         traffic=[_pair(one, result) for one in traffic],
         disagreeing=list(disagreeing),
         rms_after_by_change_s=_by_change(result),
@@ -177,6 +191,17 @@ def doubts(document: Synchronisation, max_offset_s: float | None) -> list[Cautio
             details={"camera": camera_id},
         )
         for camera_id in document.disagreeing
+    ]
+    found += [
+        Caution(
+            code="segment_unplaced",
+            message=f"Where the recording of {camera_id} goes on after {', '.join(f'{at_s:.1f}' for at_s in shown)} s "
+            "is assumed: neither light changes nor road users tell",
+            hint="Upload the parts as files with their times, or mark a signal head that this camera shares.",
+            details={"camera": camera_id, "at_s": clock.assumed_from_s},
+        )
+        for camera_id, clock in document.cameras.items()
+        if (shown := clock.assumed_from_s[:_SAID])
     ]
     for camera_id, clock in document.cameras.items():
         if clock.score is None or clock.could is None:

@@ -103,6 +103,7 @@ def match_changes(
     near_s: Mapping[str, float] | None = None,
     *,
     partial: bool = False,
+    owners: Mapping[str, str] | None = None,
 ) -> tuple[list[ChangeGroup], dict[str, Alignment]]:
     """Group the changes of all cameras.
 
@@ -113,6 +114,7 @@ def match_changes(
         spans_s: camera id -> first and last time of its recording, on its own clock; those of its changes if absent.
         near_s: camera id -> an offset found otherwise, which decides between equally good ones.
         partial: leave out cameras that share no change with the others.
+        owners: id -> camera, where several are segments of one camera, which never see the same change.
 
     Returns:
         groups seen by at least two cameras, by time, and the alignment of every camera but the reference.
@@ -131,7 +133,17 @@ def match_changes(
     alignments: dict[str, Alignment] = {}
     waiting = [camera_id for camera_id in changes if camera_id != reference_id]
     while waiting:
-        found = {c: align(groups, changes[c], joined, spans[c], max_offset_s, (near_s or {}).get(c)) for c in waiting}
+        found = {
+            c: align(
+                _of_others(groups, c, owners),
+                changes[c],
+                {other: span for other, span in joined.items() if not _same(other, c, owners)},
+                spans[c],
+                max_offset_s,
+                (near_s or {}).get(c),
+            )
+            for c in waiting
+        }
         options = {c: alignment for c, alignment in found.items() if alignment is not None}
         if not options and partial:
             break
@@ -145,7 +157,7 @@ def match_changes(
         camera_id = max(options, key=lambda c: (not options[c].is_ambiguous, options[c].taken.matched))
         taken = options[camera_id].taken
         alignments[camera_id] = options[camera_id]
-        _join(groups, camera_id, changes[camera_id], taken)
+        groups += _join(_of_others(groups, camera_id, owners), camera_id, changes[camera_id], taken)
         begin_s, end_s = spans[camera_id]
         joined[camera_id] = (_mapped(begin_s, taken), _mapped(end_s, taken))
         waiting.remove(camera_id)
@@ -256,8 +268,20 @@ def _union(spans: Sequence[tuple[float, float]]) -> Array:
     return np.array(merged)
 
 
-def _join(groups: list[ChangeGroup], camera_id: str, changes: Sequence[SignalChange], clock: Offset) -> None:
-    """Add a camera's changes to the groups they meet; the rest open groups of their own."""
+def _same(one: str, other: str, owners: Mapping[str, str] | None) -> bool:
+    """Whether two ids are of one camera."""
+    return owners is not None and owners[one] == owners[other]
+
+
+def _of_others(groups: Sequence[ChangeGroup], camera_id: str, owners: Mapping[str, str] | None) -> list[ChangeGroup]:
+    """Groups that no other segment of the camera has seen."""
+    return [group for group in groups if not any(_same(other, camera_id, owners) for other in group.seen)]
+
+
+def _join(
+    groups: Sequence[ChangeGroup], camera_id: str, changes: Sequence[SignalChange], clock: Offset
+) -> list[ChangeGroup]:
+    """Add a camera's changes to the groups they meet; the rest open groups of their own, which are returned."""
     pairs = _pairs(groups, changes)
     residual = np.abs(pairs.first_s - pairs.second_s - clock.offset_s - clock.drift * pairs.second_s)
     near = np.flatnonzero(residual <= pairs.tolerance_s)
@@ -265,7 +289,8 @@ def _join(groups: list[ChangeGroup], camera_id: str, changes: Sequence[SignalCha
     joined = set(pairs.second[kept].tolist())
     for k in kept:
         groups[int(pairs.first[k])].seen[camera_id] = changes[int(pairs.second[k])]
-    for i, c in enumerate(changes):
-        if i not in joined:
-            at_s = _mapped(c.time_ns / 1e9, clock)
-            groups.append(ChangeGroup(c.signal_id, c.before, c.after, at_s, {camera_id: c}))
+    return [
+        ChangeGroup(c.signal_id, c.before, c.after, _mapped(c.time_ns / 1e9, clock), {camera_id: c})
+        for i, c in enumerate(changes)
+        if i not in joined
+    ]

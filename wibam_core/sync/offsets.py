@@ -28,6 +28,9 @@ DRIFT_SD_PPM = 30.0
 _DRIFT_FREEDOM = 2.0
 #: No change is timed better than this: lamps need time to light up, rows of a frame are exposed one by one.
 _SMALLEST_S = 0.002
+#: Rows of a frame are exposed one after another: how far off all changes of a camera may be by where its lamps are in
+#: the picture.
+_ROW_S = 0.0015
 #: How far the frames of a camera may slide past the changes, in standard deviations of its drift.
 _SLIDES = (-1.2, 0.0, 1.2)
 #: Residuals beyond this many standard deviations count less (a uniform error ends at 1.7).
@@ -310,7 +313,9 @@ def _least_squares(system: _System) -> tuple[Array, Array]:
     moved_s[order] = regular_s - times_s
     late_s += moved_s[system.group]
     others = gain[:, m:]
-    known = others @ others.T
+    of_camera = system.camera == np.arange(-1, len(system.drift_ppm))[:, None]
+    rows_s = _ROW_S * (gain[:, :m] * weight) @ of_camera.T
+    known = others @ others.T + rows_s @ rows_s.T
     slides = np.zeros((1, m))
     for _ in range(2):
         covariance = known + rounding_covariance(

@@ -31,7 +31,7 @@ _SEEN_SHARE = 0.8
 #: Changes that follow each other within this time may do so always after the same time.
 _FOLLOWS_S = 40.0
 #: They do where so many were seen, so large a share of which is as near to the middle one as their standard deviations.
-_LEAST_FOLLOWING = 4
+_LEAST_FOLLOWING = 2
 _ALWAYS = 0.8
 _NEAR_SDS = 2.5
 #: Phases of a camera's frames that are tried.
@@ -114,7 +114,7 @@ def _stepped(times_s: Array, sd_s: Array) -> Array | None:
 
 
 def _following(kinds: Sequence[Hashable], times_s: Array, sd_s: Array) -> tuple[Array, IntArray]:
-    """The times such that changes which always follow each other after the same time do so exactly, and sets of such."""
+    """The times such that changes which always follow each other after the same time do so exactly; sets of such."""
     found: dict[tuple[Hashable, Hashable], list[tuple[int, int]]] = {}
     for i, kind in enumerate(kinds):
         after: set[Hashable] = set()

@@ -9,7 +9,7 @@ from itertools import combinations
 from wibam_core.clocks import SignalChange
 from wibam_core.errors import UnknownClock
 from wibam_core.sync.matching import Alignment, ChangeGroup, match_changes
-from wibam_core.sync.offsets import SyncResult, solve_clocks
+from wibam_core.sync.offsets import Meeting, SyncResult, solve_clocks
 from wibam_core.sync.paths import GroundPath
 from wibam_core.sync.traffic import TrafficAlignment, align_by_traffic
 
@@ -48,6 +48,8 @@ def synchronise(
     changes: Mapping[str, Sequence[SignalChange]] | None = None,
     paths: Mapping[str, Sequence[GroundPath]] | None = None,
     max_offset_s: float | None = None,
+    owners: Mapping[str, str] | None = None,
+    ties: Sequence[Meeting] = (),
 ) -> Synchronised:
     """Offset and drift of every camera against the reference.
 
@@ -60,6 +62,8 @@ def synchronise(
         changes: camera id -> light changes; None: the lights are not asked.
         paths: camera id -> ways of road users; None: the traffic is not asked.
         max_offset_s: of offsets that explain all equally well, smaller ones than this are preferred.
+        owners: id -> camera, where several ids are segments of one camera, which never see anything at the same time.
+        ties: what is known of clocks beside what is seen.
 
     Raises:
         NoSignalChange: the traffic is not asked, and a camera shares no light change.
@@ -67,8 +71,9 @@ def synchronise(
     """
     lit = {c: list(seen) for c, seen in (changes or {}).items() if seen or paths is None}
     lit_reference = reference_id if reference_id in lit else next(iter(lit), reference_id)
-    groups, alignments = _by_lights(lit, lit_reference, max_offset_s, spans_s, paths is None)
-    traffic = _by_traffic(spans_s, paths, {lit_reference: [0.0]} | {c: one.open_s for c, one in alignments.items()})
+    groups, alignments = _by_lights(lit, lit_reference, max_offset_s, spans_s, paths is None, owners)
+    open_s = {lit_reference: [0.0]} | {c: one.open_s for c, one in alignments.items()}
+    traffic = _by_traffic(spans_s, paths, owners, open_s)
     edges = [
         (one.first_id, one.second_id, (one.taken.offset_s, one.taken.drift))
         for one in sorted(traffic, key=lambda one: -one.taken.evidence)
@@ -77,7 +82,7 @@ def synchronise(
     near = _tree(lit_reference, edges)
     if traffic and alignments:
         near_s = {camera_id: offset_s for camera_id, (offset_s, _) in near.items() if camera_id in lit}
-        groups, alignments = match_changes(lit, lit_reference, max_offset_s, spans_s, near_s)
+        groups, alignments = match_changes(lit, lit_reference, max_offset_s, spans_s, near_s, owners=owners)
     disagreeing = tuple(
         c
         for c, one in alignments.items()
@@ -100,7 +105,7 @@ def synchronise(
             cameras=unknown,
         )
     starts = {camera_id: rough[camera_id] for camera_id in spans_s if camera_id != reference_id}
-    meetings = [one.meeting for one in traffic if one.is_clear and one.meeting is not None]
+    meetings = [*ties, *(one.meeting for one in traffic if one.is_clear and one.meeting is not None)]
     return Synchronised(solve_clocks(reference_id, groups, starts, alignments, meetings), tuple(traffic), disagreeing)
 
 
@@ -110,21 +115,27 @@ def _by_lights(
     max_offset_s: float | None,
     spans_s: Spans,
     alone: bool,
+    owners: Mapping[str, str] | None,
 ) -> tuple[list[ChangeGroup], dict[str, Alignment]]:
     """Light changes matched over all cameras that see any; where they stand ``alone``, all cameras must."""
     if not lit:
         return [], {}
-    return match_changes(lit, lit_reference, max_offset_s, spans_s, partial=not alone)
+    return match_changes(lit, lit_reference, max_offset_s, spans_s, partial=not alone, owners=owners)
 
 
 def _by_traffic(
-    spans_s: Spans, paths: Mapping[str, Sequence[GroundPath]] | None, open_s: Mapping[str, Sequence[float]]
+    spans_s: Spans,
+    paths: Mapping[str, Sequence[GroundPath]] | None,
+    owners: Mapping[str, str] | None,
+    open_s: Mapping[str, Sequence[float]],
 ) -> list[TrafficAlignment]:
     """Each two cameras; ``open_s`` are the offsets that the lights leave open, of cameras whose lights were matched."""
     if paths is None:
         return []
     found = []
     for first_id, second_id in combinations(spans_s, 2):
+        if owners is not None and owners[first_id] == owners[second_id]:
+            continue
         expected = [b - a for a in open_s.get(first_id, ()) for b in open_s.get(second_id, ())]
         one = align_by_traffic(
             first_id, paths[first_id], spans_s[first_id], second_id, paths[second_id], spans_s[second_id], expected
