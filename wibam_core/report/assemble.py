@@ -150,7 +150,13 @@ def _synchronisation(changes: Changes) -> Synchronisation:
         for seen in group.observations
         if seen.camera != changes.reference and seen.delay_before_s is not None and seen.delay_after_s is not None
     )
-    return Synchronisation(clocks, delays)
+    return Synchronisation(
+        clocks,
+        delays,
+        candidates=tuple((id_, other) for id_, clock in changes.cameras.items() for other in clock.alternatives),
+        pairs=tuple(changes.traffic),
+        segments=tuple((id_, one) for id_, clock in changes.cameras.items() for one in clock.segments),
+    )
 
 
 def _calibration(residuals: CalibrationResiduals) -> tuple[CalibrationRow, ...]:

@@ -12,6 +12,7 @@ from wibam_core.documents.conflicts import ConflictRow
 from wibam_core.documents.metrics import Metrics
 from wibam_core.documents.rounds import Rounds
 from wibam_core.documents.statistics import SubsetStatistics
+from wibam_core.documents.synchronisation import Alternative, PlacedSegment, TrafficPair
 from wibam_core.documents.warnings import StageWarning
 from wibam_core.geometry.camera import Camera
 from wibam_core.report.bev import BoxesInstant, ClusteredInstant
@@ -60,11 +61,23 @@ class ClockRow:
 
 @dataclass(frozen=True)
 class Synchronisation:
-    """Clocks and delays of the light changes; ``measured`` is False where the cameras were taken to share a clock."""
+    """Clocks and delays of the light changes; ``measured`` is False where the cameras were taken to share a clock.
+
+    Attributes:
+        clocks: one a camera.
+        delays: one a shared light change and camera.
+        measured: whether anybody looked.
+        candidates: by camera, other offsets that its light changes were compared under, the likeliest first.
+        pairs: what the road users say of two cameras.
+        segments: by camera, segments of its recording that were placed by themselves.
+    """
 
     clocks: tuple[ClockRow, ...]
     delays: tuple[Delay, ...]
     measured: bool = True
+    candidates: tuple[tuple[str, Alternative], ...] = ()
+    pairs: tuple[TrafficPair, ...] = ()
+    segments: tuple[tuple[str, PlacedSegment], ...] = ()
 
 
 @dataclass(frozen=True)

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from wibam_core.documents.conflicts import ConflictRow
 from wibam_core.documents.metrics import Metrics
 from wibam_core.documents.statistics import SubsetStatistics
+from wibam_core.documents.synchronisation import TrafficPair
 from wibam_core.documents.warnings import StageWarning
 from wibam_core.report.advice import advice
 from wibam_core.report.data import Dataset, ReportData
@@ -69,6 +70,9 @@ class Page:
     conflicts_left_out: int
     synchronised: bool
     clocks: tuple[tuple[str, ...], ...]
+    clock_candidates: tuple[tuple[str, ...], ...]
+    traffic_pairs: tuple[tuple[str, ...], ...]
+    placed_segments: tuple[tuple[str, ...], ...]
     zones: tuple[str, ...]
     calibration: tuple[tuple[str, ...], ...]
     rounds_text: str
@@ -115,6 +119,12 @@ def build_page(data: ReportData, pictures: Pictures) -> Page:
         conflicts_left_out=max(len(data.conflicts) - MAX_CONFLICTS, 0),
         synchronised=data.synchronisation.measured,
         clocks=_clocks(data),
+        clock_candidates=_candidates(data),
+        traffic_pairs=_traffic_pairs(data),
+        placed_segments=tuple(
+            (id_, f"{one.from_s:.1f}", f"{signed(one.shift_s, 3)} ± {one.sd_s:.3f}", str(one.matched))
+            for id_, one in data.synchronisation.segments
+        ),
         zones=tuple(f"{low:g}–{high:g} m" for low, high in _zones(data)),
         calibration=_calibration(data),
         rounds_text=rounds_text(data.rounds),
@@ -284,6 +294,40 @@ def _clocks(data: ReportData) -> tuple[tuple[str, ...], ...]:
         )
         for row in data.synchronisation.clocks
     )
+
+
+def _candidates(data: ReportData) -> tuple[tuple[str, ...], ...]:
+    return tuple(
+        (
+            camera_id,
+            signed(other.offset_s, 2),
+            signed(other.drift_ppm, 0),
+            f"{other.matched} of {other.could:.0f} ({other.score:.0%})",
+            "excluded" if other.excluded else "as likely",
+        )
+        for camera_id, other in data.synchronisation.candidates
+    )
+
+
+def _traffic_pairs(data: ReportData) -> tuple[tuple[str, ...], ...]:
+    return tuple(
+        (
+            f"{pair.second} against {pair.first}",
+            signed(pair.offset_s, 3) + ("" if pair.sd_s is None else f" ± {pair.sd_s:.3f}"),
+            signed(pair.drift_ppm, 0) + ("" if pair.drift_sd_ppm is None else f" ± {pair.drift_sd_ppm:.0f}"),
+            f"{pair.matched} of {pair.could:.0f} ({pair.score:.0%})",
+            NONE if pair.residual_s is None else signed(1e3 * pair.residual_s, 1),
+            "used" if pair.clear else "not used: " + _others(pair),
+        )
+        for pair in data.synchronisation.pairs
+    )
+
+
+def _others(pair: TrafficPair) -> str:
+    rivals = [other for other in pair.alternatives if not other.excluded]
+    if not rivals:
+        return "too few road users"
+    return " or ".join(f"{other.offset_s:+.2f} s ({other.score:.0%})" for other in rivals[:3]) + " as likely"
 
 
 def _zones(data: ReportData) -> list[tuple[float, float]]:

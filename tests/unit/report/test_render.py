@@ -12,6 +12,7 @@ import pytest
 from tests.builders import AMBIGUOUS
 from tests.unit.report.scenes import report_data
 from wibam_core.documents.rounds import Rounds
+from wibam_core.documents.synchronisation import Alternative, PlacedSegment, TrafficPair
 from wibam_core.report.data import Synchronisation, Training
 from wibam_core.report.render import render
 
@@ -106,6 +107,34 @@ def test_warnings_stand_above_all_figures():
 def test_clocks_that_were_taken_to_be_one_are_said_to_be(page):
     assert "share one clock" in text_alone(synchronisation=Synchronisation((), (), measured=False))
     assert "share one clock" not in page
+
+
+def test_what_clocks_rest_on_stands_in_tables(page):
+    pair = TrafficPair(
+        first="north", second="east", offset_s=-1.5, drift_ppm=12.0, matched=31, could=40.0, score=0.775, clear=True,
+        sd_s=0.008, drift_sd_ppm=20.0, residual_s=-0.0034, alternatives=[],
+    )  # fmt: skip
+    rival = Alternative(offset_s=61.0, matched=20, could=22.0, score=0.91)
+    worse = Alternative(offset_s=-59.0, matched=4, could=20.0, score=0.2, excluded=True)
+    unclear = pair.model_copy(update={"second": "west", "clear": False, "alternatives": [rival, worse]})
+    few = pair.model_copy(update={"second": "south", "clear": False, "sd_s": None, "residual_s": None})
+    shown = text_alone(
+        synchronisation=Synchronisation(
+            (),
+            (),
+            candidates=(("east", rival), ("east", worse)),
+            pairs=(pair, unclear, few),
+            segments=(("west", PlacedSegment(from_s=300.0, shift_s=61.3, sd_s=0.004, matched=17)),),
+        )
+    )
+    cells = re.sub(r"<[^>]+>", "|", shown)
+    assert "east against north||−1.500 ± 0.008||+12 ± 20||31 of 40 (78%)||−3.4||used" in cells
+    assert "west against north||" in cells and "not used: +61.00 s (91%) as likely" in cells
+    assert "not used: too few road users" in cells
+    assert "east||+61.00||+0||20 of 22 (91%)||as likely" in cells
+    assert "east||−59.00||+0||4 of 20 (20%)||excluded" in cells
+    assert "west||300.0||+61.300 ± 0.004||17" in cells
+    assert "Table of what the traffic says" not in page
 
 
 def test_without_labels_there_is_no_accuracy_but_agreement(page):

@@ -71,6 +71,31 @@ export function clocks(changes) {
     { cells: of.map(([id, clock]) => [clock.ambiguous ? [id, " ", h("span.chip.caution", null, "ambiguous")] : id, number(clock.offset_s, 4), number(clock.offset_sd_s, 4), number(clock.drift_ppm, 1), clock.changes, clock.matched, number(ms(clock.rms_before_s), 1), number(ms(clock.rms_after_s), 1)]) });
 }
 
+/** What each two cameras' road users say, other offsets that were considered, and segments that were placed: tables, where there are any. @param {any} changes */
+export function clockWitnesses(changes) {
+  const cameras = Object.entries(changes.cameras);
+  const pairs = (changes.traffic ?? []).map((/** @type {any} */ pair) => [`${pair.second} against ${pair.first}`, pair.offset_s, pair.sd_s, pair.drift_ppm, pair.matched, pair.could, pair.score, ms(pair.residual_s), pair.clear]);
+  const others = cameras.flatMap(([id, clock]) => clock.alternatives.map((/** @type {any} */ other) => [id, other.offset_s, other.drift_ppm, other.matched, other.could, other.score, other.excluded]));
+  const segments = cameras.flatMap(([id, clock]) => (clock.segments ?? []).map((/** @type {any} */ one) => [id, one.from_s, one.shift_s, one.sd_s, one.matched]));
+  const found = [];
+  if (pairs.length) {
+    found.push(table("What the traffic says", ["Cameras", "Offset, s", "± s", "Drift, ppm", "Road users that meet", "Could", "Share", "Minus all witnesses' answer, ms", "Used"], pairs,
+      { cells: pairs.map((/** @type {any[]} */ [names, offset, sd, drift, matched, could, share, residual, clear]) => [clear ? names : [names, " ", h("span.chip.caution", null, "not used")], number(offset, 3), number(sd, 3), number(drift, 0), matched, number(could, 0), percent(share), number(residual, 1), clear ? "yes" : "no"]),
+        note: "Road users that both cameras see. Not used: too few meet, or other offsets explain as much." }));
+  }
+  if (others.length) {
+    found.push(table("Other offsets", ["Camera", "Offset, s", "Drift, ppm", "Changes that meet", "Could", "Share", "Excluded"], others,
+      { cells: others.map((/** @type {any[]} */ [id, offset, drift, matched, could, share, excluded]) => [id, number(offset, 2), number(drift, 0), matched, number(could, 0), percent(share), excluded ? "yes" : "as likely"]),
+        note: "Offsets under which light changes meet, too. Excluded ones explain them far worse than the one that was taken." }));
+  }
+  if (segments.length) {
+    found.push(table("Placed segments", ["Camera", "From, s", "Later by, s", "± s", "Shared changes"], segments,
+      { cells: segments.map((/** @type {any[]} */ [id, from, shift, sd, matched]) => [id, number(from, 1), number(shift, 3), number(sd, 3), matched]),
+        note: "Before each, the camera was off for a time that only what it shows can tell." }));
+  }
+  return found;
+}
+
 /** @param {number|null} seconds */
 const ms = (seconds) => (seconds === null ? null : seconds * 1000);
 

@@ -2,7 +2,7 @@
 import { get, getIfThere } from "../api.js";
 import { attempt, byId, fill, h, message } from "../dom.js";
 import { jobId, showTabs, showTitle } from "../jobtabs.js";
-import { beforeAfter, cameras, clocks, selfConsistency, table } from "../resulttables.js";
+import { beforeAfter, cameras, clocks, clockWitnesses, selfConsistency, table } from "../resulttables.js";
 import { dataFigures, qualityFigures, syncFigures, trainingFigures } from "../resultfigures.js";
 
 /** @param {string} name a file of a stage */
@@ -34,7 +34,7 @@ async function training() {
 
 async function sync() {
   const changes = await file("sync/changes.json");
-  if (changes) show("sync", changes.method === "none" ? h("p.note", null, "The recordings share a clock; nothing was searched.") : clocks(changes), figures(syncFigures(changes)));
+  if (changes) show("sync", changes.method === "none" ? h("p.note", null, "The recordings share a clock; nothing was searched.") : [clocks(changes), ...clockWitnesses(changes)], figures(syncFigures(changes)));
   return !!changes;
 }
 
