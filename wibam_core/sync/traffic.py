@@ -243,8 +243,8 @@ def _met(
             if len(samples) >= _LEAST_SAMPLES:
                 rows.append((i, j, float(np.median(np.linalg.norm(samples.apart_m, axis=1)))))
     near = np.array([row for row in rows if row[2] < _SAME_M]).reshape(-1, 3)
-    i, j = near[:, 0].astype(np.int64), near[:, 1].astype(np.int64)
-    return [(int(i[k]), int(j[k])) for k in one_to_one(i, j, near[:, 2])]
+    one, other = near[:, 0].astype(np.int64), near[:, 1].astype(np.int64)
+    return [(int(one[k]), int(other[k])) for k in one_to_one(one, other, near[:, 2])]
 
 
 def _compared(
