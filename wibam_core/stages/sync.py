@@ -69,9 +69,9 @@ def run(context: StageContext, config: SyncConfig) -> Summary:
             max_offset_s=config.max_offset_s,
         )
     context.progress(1.0)
-    whole = found.found
-    result = whole.result
-    document = sync_document(changes, result, whole.traffic, whole.disagreeing, found.placed, found.assumed)
+    by_camera = found.found
+    result = by_camera.result
+    document = sync_document(changes, result, by_camera.traffic, by_camera.disagreeing, found.placed, found.assumed)
     cautions = [*ambiguities(document), *doubts(document, config.max_offset_s)]
     context.write(CLOCKS, Clocks(result.clocks, result.errors))
     context.write(CHANGES, document)
