@@ -61,16 +61,17 @@ def save(figure: Figure, path: Path) -> None:
 
 def tables(rows: Sequence[Row]) -> str:
     """Markdown: all tables of the rows."""
+    taught = [row for row in rows if "tracks" in row]
     parts = [
         "## Tracks of all cameras",
-        _table(_NAMES, [(*_run(row), *_figures(row["tracks"]["all"])) for row in rows]),
+        _table(_NAMES, [(*_run(row), *_figures(row["tracks"]["all"])) for row in taught]),
         "By the part of the split in time that the labelled instant lies in. The network learned from the training "
         "part; instants between two parts are in none.",
         _table(
             ("part", *_NAMES),
             [
                 (part, *_run(row), *_figures(row["tracks"][part]))
-                for row in rows
+                for row in taught
                 for part in _SUBSETS[1:]
                 if part in row["tracks"]
             ],
@@ -83,7 +84,7 @@ def tables(rows: Sequence[Row]) -> str:
         f"## One camera, vehicles within {ONE_CAMERA_M:g} m of it",
         _table(
             ("camera", *_NAMES),
-            [(camera, *_run(row), *_figures(of)) for row in rows for camera, of in row["one_camera"].items()],
+            [(camera, *_run(row), *_figures(of)) for row in taught for camera, of in row["one_camera"].items()],
         ),
         "## What each round found",
         _table(
@@ -169,9 +170,10 @@ have Wilson's 95 % interval; means have one of bootstrap samples of vehicles. La
 many rounds are kept follows from the agreement between views, at instants that taught nothing and are not tested.
 
 Site: {sites}. It is one site and one minute, with few labelled instants, whose labels err by about 0.1 m at random, by
-0.2 m together, and by 3°. Options: `{options}`; `python -m benchmarks.real_sites --help` says how to measure.
+0.2 m together, and by 3°. Options of all rows: `{options}`; those of each are in `real-sites.json`, and
+`python -m benchmarks.real_sites --help` says how to measure.
 
-{tables}
+{notes}{tables}
 
 ![labels and tracks from above](real-sites.png)
 """
@@ -179,6 +181,7 @@ Site: {sites}. It is one site and one minute, with few labelled instants, whose 
 
 def document(rows: Sequence[Row]) -> str:
     """Markdown: what was measured, and all tables."""
-    options = " ".join(max((row["options"] for row in rows), key=len))
+    options = " ".join(min((row["options"] for row in rows), key=len))
     sites = ", ".join(sorted({row["site"] for row in rows}))
-    return _ABOUT.format(match=MATCH_M, sites=sites, options=options, tables=tables(rows))
+    notes = "".join(f"{note}\n\n" for note in dict.fromkeys(row["note"] for row in rows if "note" in row))
+    return _ABOUT.format(match=MATCH_M, sites=sites, options=options, notes=notes, tables=tables(rows))

@@ -40,30 +40,37 @@ from wibam_core.stages.store import StageStore
 Row = dict[str, Any]
 
 #: What says which run a row is of.
-_KEY = ("site", "detector", "rounds_asked", "steps", "seed")
+_KEY = ("site", "detector", "rounds_asked", "steps", "seed", "options")
 
 
-def measured(outputs: ArtifactReader, labels: Sequence[Labels], area: Area, min_score: float) -> Row:
-    """The figures of a run."""
+def of_what_teaches(outputs: ArtifactReader, labels: Sequence[Labels], area: Area) -> Row:
+    """The figures of the rounds and of the fits that teach; those of what was taught are left open."""
+    fits = of_fits(labels, area, outputs.read(FITS))
+    rounds = outputs.read(ROUNDS)
+    return {
+        "round": rounds.kept,
+        **dict.fromkeys(("recall", "precision", "bev_iou", "ate_m", "aoe_deg")),
+        "fits": {name: figures(of) for name, of in parts(fits, outputs.read(SPLIT)).items()},
+        "found": counts_in_area(outputs.read(ANNOTATIONS), area),
+        "rounds": rounds.model_dump(),
+    }
+
+
+def of_what_was_taught(outputs: ArtifactReader, labels: Sequence[Labels], area: Area, min_score: float) -> Row:
+    """The figures of the fine-tuned network: of the tracks of all cameras, and of single images."""
     split, rig = outputs.read(SPLIT), outputs.read(RIG)
     tracks = {name: figures(of) for name, of in parts(of_tracks(labels, area, outputs.read(TRACKS)), split).items()}
-    fits = {name: figures(of) for name, of in parts(of_fits(labels, area, outputs.read(FITS)), split).items()}
     instants = outputs.read(FRAMES).frame_sets
     single = list(of_one_camera(labels, area, rig, instants, detector_of(outputs, min_score)))
     cameras = {camera: figures([one for _, of, one in single if of == camera]) for camera in rig}
-    rounds = outputs.read(ROUNDS)
     every = tracks["all"]
     consistency = outputs.read(METRICS).self_consistency
     return {
-        "round": rounds.kept,
         **{name: every[name] for name in ("recall", "precision", "bev_iou", "ate_m", "aoe_deg")},
         "tracks": tracks,
-        "fits": fits,
         "one_camera_m": ONE_CAMERA_M,
         "one_camera": {"all": figures([one for _, _, one in single]), **cameras},
-        "found": counts_in_area(outputs.read(ANNOTATIONS), area),
         "held_out": {name: consistency[name].model_dump() for name in ("baseline", "finetuned")},
-        "rounds": rounds.model_dump(),
     }
 
 
@@ -84,7 +91,9 @@ def run(arguments: argparse.Namespace, seed: int) -> ArtifactReader:
     store = StageStore(arguments.runs)
     if arguments.measure_only:
         return latest(folder, store)
-    return run_pipeline(folder, store, PipelineConfig.parse(options), _said, until="track").outputs
+    return run_pipeline(
+        folder, store, PipelineConfig.parse(options), _said, until="lift" if arguments.fits_only else "track"
+    ).outputs
 
 
 def _said(update: StageUpdate) -> None:
@@ -115,6 +124,7 @@ def main() -> None:
     parser.add_argument("--seeds", type=int, nargs="+", default=[0])
     parser.add_argument("--rounds", type=int, default=0, help="rounds.most")
     parser.add_argument("--set", nargs="*", default=[], metavar="OPTION=VALUE", help="options of the pipeline")
+    parser.add_argument("--fits-only", action="store_true", help="nothing is fine-tuned: only what would teach")
     parser.add_argument("--measure-only", action="store_true", help="of the last run in the folder, whatever it was")
     parser.add_argument("--out", type=Path, default=Path("build/real"))
     arguments = parser.parse_args()
@@ -129,18 +139,21 @@ def main() -> None:
             "site": arguments.site.resolve().name,
             "detector": arguments.detector,
             "rounds_asked": arguments.rounds,
-            "steps": steps,
+            "steps": 0 if arguments.fits_only else steps,
             "seed": seed,
             "options": arguments.set,
-            **measured(outputs, labels, area, config.track.min_score),
+            **of_what_teaches(outputs, labels, area),
         }
+        if not arguments.fits_only:
+            row |= of_what_was_taught(outputs, labels, area, config.track.min_score)
         rows = written(arguments.out / "real-sites.json", row)
-        for name in ("fits", "tracks", "one_camera"):
+        for name in [name for name in ("fits", "tracks", "one_camera") if name in row]:
             of = row[name]["all"]
             print(
                 name, {key: of[key] for key in ("asked", "found", "false", "ate_m", "aoe_deg", "bev_iou")}, flush=True
             )
-        save(birds_eye(labels, area, outputs.read(TRACKS), outputs.read(RIG)), arguments.out / "real-sites.png")
+        if not arguments.fits_only:
+            save(birds_eye(labels, area, outputs.read(TRACKS), outputs.read(RIG)), arguments.out / "real-sites.png")
     (arguments.out / "real-sites.md").write_text(document(rows), encoding="utf-8")
     print(document(rows))
 

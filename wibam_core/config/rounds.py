@@ -13,8 +13,8 @@ class RoundsConfig(StageConfig):
         ge=0,
         le=6,
         description="so many times at most, what several cameras see teaches the site's own network, which then looks"
-        " for what the detector overlooked; for detectors that find too few of the vehicles. A round takes about half"
-        " as long as fine-tuning for 200 steps",
+        " for what the detector overlooked; for detectors that find too few of the vehicles. A round takes about as"
+        " long as fine-tuning for 200 steps",
     )
     steps: int = Field(150, ge=1, le=20_000, description="gradient steps of teaching in a round")
     least_gain: float = Field(

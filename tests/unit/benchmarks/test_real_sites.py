@@ -131,7 +131,7 @@ def test_labels_and_area_are_read(tmp_path: Path) -> None:
 
 def test_a_row_takes_the_place_of_the_same_run(tmp_path: Path) -> None:
     path = tmp_path / "rows.json"
-    row = {"site": "s", "detector": "d", "rounds_asked": 0, "steps": 200, "seed": 0, "recall": 0.5}
+    row = {"site": "s", "detector": "d", "rounds_asked": 0, "steps": 200, "seed": 0, "options": [], "recall": 0.5}
     written(path, row)
     written(path, {**row, "seed": 1})
     rows = written(path, {**row, "recall": 0.9})
