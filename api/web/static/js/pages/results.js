@@ -2,7 +2,14 @@
 import { get, getIfThere } from "../api.js";
 import { attempt, byId, fill, h, message } from "../dom.js";
 import { jobId, showTabs, showTitle } from "../jobtabs.js";
+<<<<<<< HEAD
 import { beforeAfter, cameras, clocks, clockWitnesses, selfConsistency, table } from "../resulttables.js";
+=======
+import { beforeAfter, cameras, clocks, selfConsistency, table } from "../resulttables.js";
+import { residualFigure, trajectoryFigure } from "../placefigures.js";
+import { Camera } from "../projection.js";
+import { Tracks } from "../trackdata.js";
+>>>>>>> edec032 (Results: residuals in the frame, trajectories from above)
 import { dataFigures, qualityFigures, syncFigures, trainingFigures } from "../resultfigures.js";
 
 /** @param {string} name a file of a stage */
@@ -40,8 +47,19 @@ async function sync() {
 
 async function calibration() {
   const residuals = await file("calibrate/residuals.json");
-  if (residuals) show("calibration", cameras(residuals));
-  return !!residuals;
+  if (!residuals) return false;
+  const scene = await getIfThere(`/v1/jobs/${jobId}/scene`);
+  const found = await Promise.all((scene?.cameras ?? []).filter((/** @type {any} */ one) => residuals.cameras[one.id]).map((/** @type {any} */ one) => residualFigure(jobId, new Camera(one), residuals.cameras[one.id], one.stored_width_px !== null)));
+  show("calibration", cameras(residuals), figures(found.filter(Boolean)));
+  return true;
+}
+
+async function trajectories() {
+  const scene = await getIfThere(`/v1/jobs/${jobId}/scene`);
+  if (!scene || !(await getIfThere(`/v1/jobs/${jobId}/tracks?limit=1`))?.states.length) return false;
+  show("tracks", h("p.note", { role: "status" }, "Loading tracks …"));
+  show("tracks", figures([trajectoryFigure(scene, await Tracks.load(jobId, () => {}))]));
+  return true;
 }
 
 async function data() {
@@ -70,6 +88,6 @@ attempt(async () => {
   const job = await get(`/v1/jobs/${jobId}`);
   showTitle(job);
   showTabs(job);
-  const there = await Promise.all([quality(), training(), sync(), calibration(), data(), downloads()]);
+  const there = await Promise.all([quality(), training(), sync(), calibration(), data(), trajectories(), downloads()]);
   if (!there.includes(true)) fill(byId("nothing"), message("plain", "nothing has been made yet", "Figures appear here as stages finish."));
 });
