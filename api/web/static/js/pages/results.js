@@ -2,14 +2,10 @@
 import { get, getIfThere } from "../api.js";
 import { attempt, byId, fill, h, message } from "../dom.js";
 import { jobId, showTabs, showTitle } from "../jobtabs.js";
-<<<<<<< HEAD
-import { beforeAfter, cameras, clocks, clockWitnesses, selfConsistency, table } from "../resulttables.js";
-=======
-import { beforeAfter, cameras, clocks, selfConsistency, table } from "../resulttables.js";
 import { residualFigure, trajectoryFigure } from "../placefigures.js";
 import { Camera } from "../projection.js";
+import { beforeAfter, cameras, clocks, clockWitnesses, selfConsistency, table } from "../resulttables.js";
 import { Tracks } from "../trackdata.js";
->>>>>>> edec032 (Results: residuals in the frame, trajectories from above)
 import { dataFigures, qualityFigures, syncFigures, trainingFigures } from "../resultfigures.js";
 
 /** @param {string} name a file of a stage */
