@@ -6,7 +6,7 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 
 import numpy as np
 
-from wibam_core.documents.hand_labels import HandLabels
+from wibam_core.documents.hand_labels import HandLabels, HandVehicle
 from wibam_core.exchange.base import Content
 from wibam_core.geometry.projection import project_boxes
 from wibam_core.labelling.seen import seen_by_hand, seen_shares
@@ -50,6 +50,33 @@ def labelled_instants(labels: Iterable[HandLabels], rig: CameraRig) -> list[Labe
     """The finished ones, in order of time."""
     finished = sorted((one for one in labels if one.finished), key=lambda one: one.time_ns)
     return [labelled_instant(one, rig) for one in finished]
+
+
+def hand_labels(instant: LabelledInstant) -> HandLabels:
+    """An instant of a labels file as if somebody had labelled and finished it, the inverse of `labelled_instant`.
+
+    Whom no camera sees is ignored. Vehicles whose id is unknown are numbered after the largest that is known, and a
+    velocity that is unknown is none.
+    """
+    vehicles, known = instant.vehicles, max([-1, *instant.vehicles.ids.tolist()])
+    found = []
+    for row in range(len(vehicles)):
+        number = int(vehicles.ids[row])
+        if number < 0:
+            known = number = known + 1
+        seen = {camera_id: float(shares[row]) for camera_id, shares in instant.visibility.items()}
+        velocity = np.nan_to_num(instant.velocities_mps[row])
+        found.append(
+            HandVehicle(
+                id=number,
+                vehicle_class=CLASSES[int(vehicles.classes[row])],
+                box=tuple(vehicles.boxes[row].tolist()),
+                velocity_mps=(float(velocity[0]), float(velocity[1])),
+                visibility={camera_id: share for camera_id, share in seen.items() if share > 0},
+                ignored=bool(seen) and not any(seen.values()),
+            )
+        )
+    return HandLabels(time_ns=vehicles.time_ns, vehicles=tuple(found), finished=True)
 
 
 def content_of(
