@@ -37,6 +37,8 @@ CODECS = (
 MAX_PIXELS = 40_000_000
 #: Colour conversion that rounds: swscale's BILINEAR, FULL_CHR_H_INT and ACCURATE_RND flags.
 ACCURATE = 0x2 | 0x2000 | 0x40000
+#: The same that shrinks by area: AREA instead of BILINEAR.
+ACCURATE_BY_AREA = 0x20 | 0x2000 | 0x40000
 
 _NS_PER_S = 1_000_000_000
 _NO_RECORDING = (

@@ -9,8 +9,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from wibam_core.errors import UnreadableVideo
+from wibam_core.geometry.pixels import shrunk_image
 from wibam_core.video.decode import OnePass, decode, frames_nearest
 from wibam_core.video.encode import VideoWriter
+from wibam_core.video.picture import Orientation, to_bgr
 
 FRAME_NS = 40_000_000
 
@@ -161,3 +163,23 @@ def test_real_footage_decodes_whole(assets: Path) -> None:
     times = [time_ns for time_ns, _ in decode(assets / "footage" / "traffic.mp4", width_px=160)]
     assert len(times) == 480
     assert np.mean(np.diff(times)) == pytest.approx(1e9 * 125 / 2997, rel=1e-5)
+
+
+@pytest.mark.parametrize("turned", [Orientation(), Orientation(transposed=True, mirrored_x=True)])
+@pytest.mark.parametrize("matrix", [1, 5])  # BT.709, as most cameras have it, and BT.601
+def test_a_frame_that_is_shrunk_while_it_is_converted_is_the_mean_of_its_pixels(
+    turned: Orientation, matrix: int
+) -> None:
+    y, x = np.mgrid[0:144, 0:256]
+    smooth = np.stack([90 + 60 * np.sin(x / 30), 120 + 50 * np.cos(y / 25), 60 + x / 2], axis=-1)
+    noisy = smooth + np.random.default_rng(0).normal(0, 8, smooth.shape)
+    stored = av.VideoFrame.from_ndarray(np.clip(noisy, 0, 255).astype(np.uint8), format="bgr24")
+    frame = stored.reformat(format="yuv420p", dst_colorspace=matrix)
+    frame.colorspace = matrix
+    whole = to_bgr(frame, turned, None, None)
+    width_px = whole.shape[1] * 3 // 8
+    small = to_bgr(frame, turned, None, width_px)
+    want = shrunk_image(whole, width_px)
+    assert small.shape == want.shape
+    assert np.abs(small.astype(int) - want).mean() < 1.5
+    assert np.abs((small.astype(float) - want).mean(axis=(0, 1))).max() < 0.5

@@ -1,0 +1,93 @@
+"""What it costs to take every 4th frame of a 1440p50 recording, shrunk, against libavcodec and swscale alone.
+
+The bare work is what ffmpeg does with the filters select and scale (flags area, accurate_rnd, full_chroma_int) to raw
+BGR: decode every frame on one thread, and shrink and convert one in four. Both read one file, made here, in turn, round
+by round; printed are the medians of CPU time of one thread a frame that is decoded, and of the rounds' ratios. What
+opening the file costs, a tenth of a second, is part of it.
+
+Run: OMP_NUM_THREADS=1 python benchmarks/decoding.py [--rounds 5] [--frames 500] [--width 1920]
+"""
+
+from __future__ import annotations
+
+import argparse
+import tempfile
+import time
+from collections.abc import Callable
+from pathlib import Path
+
+import av
+import cv2
+import numpy as np
+
+from wibam_core.video.decode import frames_nearest
+from wibam_core.video.encode import VideoWriter
+from wibam_core.video.source import ACCURATE_BY_AREA
+
+WIDTH_PX, HEIGHT_PX, FPS = 2560, 1440, 50
+EVERY = 4
+
+
+def make_recording(path: Path, frames: int) -> None:
+    """A still background with a sensor's noise, and things that move before it."""
+    rng = np.random.default_rng(0)
+    coarse = rng.integers(0, 255, (HEIGHT_PX // 40, WIDTH_PX // 40, 3), dtype=np.uint8)
+    still = cv2.resize(coarse, (WIDTH_PX, HEIGHT_PX), interpolation=cv2.INTER_CUBIC)
+    noise = rng.normal(0, 2, (4, HEIGHT_PX, WIDTH_PX, 3)).astype(np.int16)
+    with VideoWriter(path, WIDTH_PX, HEIGHT_PX, FPS) as writer:
+        for number in range(frames):
+            image = still.copy()
+            for k in range(20):
+                left, top = (97 * k + 9 * number) % (WIDTH_PX - 200), 70 * k % (HEIGHT_PX - 120)
+                image[top : top + 90, left : left + 180] = (40 * k % 255, 255 - 12 * k, 90)
+            noisy = np.clip(image + noise[number % len(noise)], 0, 255).astype(np.uint8)
+            writer.write(noisy, round(number * 1e9 / FPS))
+
+
+def bare(path: Path, width_px: int) -> int:
+    """Decode all frames, shrink and convert one in four; returns how many."""
+    taken, height_px = 0, width_px * HEIGHT_PX // WIDTH_PX
+    with av.open(str(path)) as container:
+        stream = container.streams.video[0]
+        stream.codec_context.thread_count = 1
+        for number, frame in enumerate(container.decode(stream)):
+            if number % EVERY == 0:
+                frame.to_ndarray(width=width_px, height=height_px, format="bgr24", interpolation=ACCURATE_BY_AREA)
+                taken += 1
+    return taken
+
+
+def ours(path: Path, width_px: int) -> int:
+    """The same by the times of the frames, as stages read recordings."""
+    times_ns = range(0, 3600 * 1_000_000_000, EVERY * 1_000_000_000 // FPS)  # what lies beyond the end finds nothing
+    return sum(1 for _ in frames_nearest(path, times_ns, tolerance_ns=1_000_000, width_px=width_px))
+
+
+def cpu_s(work: Callable[[Path, int], int], path: Path, width_px: int, wanted: int) -> float:
+    start = time.process_time()
+    taken = work(path, width_px)
+    assert taken == wanted, f"{work.__name__} took {taken} frames, not {wanted}"
+    return time.process_time() - start
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--rounds", type=int, default=5)
+    parser.add_argument("--frames", type=int, default=500)
+    parser.add_argument("--width", type=int, default=1920, help="of the frames that are taken, px")
+    arguments = parser.parse_args()
+    cv2.setNumThreads(1)
+    with tempfile.TemporaryDirectory() as temporary:
+        path = Path(temporary) / "recording.mp4"
+        make_recording(path, arguments.frames)
+        wanted = -(-arguments.frames // EVERY)
+        work = (bare, ours)
+        taken = [[cpu_s(one, path, arguments.width, wanted) for one in work] for _ in range(arguments.rounds + 1)]
+    rounds = np.array(taken[1:])  # the first one warms up
+    for name, seconds in zip(("bare", "ours"), np.median(rounds, axis=0) / arguments.frames, strict=True):
+        print(f"{name}: {1e3 * seconds:.2f} ms a frame")
+    print(f"ratio: {np.median(rounds[:, 1] / rounds[:, 0]):.3f}")
+
+
+if __name__ == "__main__":
+    main()
