@@ -44,7 +44,7 @@ def make_recording(path: Path, frames: int) -> None:
             writer.write(noisy, round(number * 1e9 / FPS))
 
 
-def bare(path: Path, width_px: int) -> int:
+def bare(path: Path, width_px: int, _: int) -> int:
     """Decode all frames, shrink and convert one in four; returns how many."""
     taken, height_px = 0, width_px * HEIGHT_PX // WIDTH_PX
     with av.open(str(path)) as container:
@@ -57,15 +57,16 @@ def bare(path: Path, width_px: int) -> int:
     return taken
 
 
-def ours(path: Path, width_px: int) -> int:
+def ours(path: Path, width_px: int, wanted: int) -> int:
     """The same by the times of the frames, as stages read recordings."""
-    times_ns = range(0, 3600 * 1_000_000_000, EVERY * 1_000_000_000 // FPS)  # what lies beyond the end finds nothing
+    step_ns = EVERY * 1_000_000_000 // FPS
+    times_ns = range(0, wanted * step_ns, step_ns)
     return sum(1 for _ in frames_nearest(path, times_ns, tolerance_ns=1_000_000, width_px=width_px))
 
 
-def cpu_s(work: Callable[[Path, int], int], path: Path, width_px: int, wanted: int) -> float:
+def cpu_s(work: Callable[[Path, int, int], int], path: Path, width_px: int, wanted: int) -> float:
     start = time.process_time()
-    taken = work(path, width_px)
+    taken = work(path, width_px, wanted)
     assert taken == wanted, f"{work.__name__} took {taken} frames, not {wanted}"
     return time.process_time() - start
 
