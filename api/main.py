@@ -1,4 +1,4 @@
-"""The application: ``python -m uvicorn --factory api.main:create``, or `create_app` with settings of one's own."""
+"""The application: ``python -m api``, or `create_app` with settings of one's own."""
 
 from __future__ import annotations
 

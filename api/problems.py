@@ -24,6 +24,7 @@ _log = logging.getLogger(__name__)
 
 #: Status by `WibamError.code`; other `InputError`s are 422, everything else is 500.
 STATUS: Mapping[str, int] = {
+    "ambiguous_length": 400,
     "unauthorised": 401,
     "cross_site": 403,
     "forbidden": 403,
@@ -48,6 +49,7 @@ _CODE_OF_STATUS = {
     401: "unauthorised",
     404: "not_found",
     405: "method_not_allowed",
+    408: "too_slow",
     413: "too_large",
 }
 

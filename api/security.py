@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import asyncio
 import hmac
+import time
 from urllib.parse import unquote_to_bytes
 
 from starlette.concurrency import run_in_threadpool
@@ -24,6 +26,15 @@ UPLOAD_CONTENT_TYPE = "application/offset+octet-stream"
 _JOBS = "/v1/jobs/"
 
 
+class AmbiguousLength(InputError):
+    code = "ambiguous_length"
+
+    def __init__(self) -> None:
+        super().__init__(
+            "the request has both Content-Length and Transfer-Encoding", hint="Send one of the two (RFC 9112, 6.3)."
+        )
+
+
 class CrossSite(WibamError):
     code = "cross_site"
     default_hint = "Send the token instead: Authorization: Bearer TOKEN."
@@ -42,10 +53,20 @@ class Gate:
         passes: of browsers.
         keys: that stand in for the token.
         max_body_bytes: of a request that is no piece of an upload.
+
+    Attributes:
+        body_s: how long such a body may take.
     """
 
+    body_s = 60.0
+
     def __init__(
-        self, app: ASGIApp, token_sha256: str, passes: Passes, keys: KeyStore, max_body_bytes: int = 4_000_000
+        self,
+        app: ASGIApp,
+        token_sha256: str,
+        passes: Passes,
+        keys: KeyStore,
+        max_body_bytes: int = 4_000_000,
     ) -> None:
         self._app = app
         self._token_sha256 = token_sha256
@@ -58,6 +79,10 @@ class Gate:
             await self._app(scope, receive, send)
             return
         headers = Headers(scope=scope)
+        if "content-length" in headers and "transfer-encoding" in headers:
+            # a proxy in between may have understood another length than we do
+            await problem(AmbiguousLength(), headers={"Connection": "close"})(scope, receive, send)
+            return
         if self._needs_token(scope):
             try:
                 who = await self._who(scope, headers)
@@ -119,12 +144,19 @@ class Gate:
         raise Unauthorised("the API token is missing or wrong")
 
     def _bounded(self, receive: Receive) -> Receive:
-        received = 0
+        received, more = 0, True
+        deadline = time.monotonic() + self.body_s
 
         async def bounded() -> Message:
-            nonlocal received
-            message = await receive()
+            nonlocal received, more
+            try:
+                # the last message, that the client has gone, may come at any time
+                left_s = deadline - time.monotonic() if more else None
+                message = await asyncio.wait_for(receive(), left_s)
+            except TimeoutError:
+                raise BodyTooSlow(self.body_s) from None
             received += len(message.get("body", b""))
+            more = message.get("more_body", False)
             if received > self._max_body_bytes:
                 raise BodyTooLarge(self._too_large())
             return message
@@ -136,6 +168,14 @@ class Gate:
             f"the body is larger than {self._max_body_bytes / 1e6:g} MB",
             hint="Send files in pieces through /v1/uploads (tus); only they may be larger.",
         )
+
+
+class BodyTooSlow(HTTPException):
+    """As `BodyTooLarge`."""
+
+    def __init__(self, allowed_s: float) -> None:
+        super().__init__(408, f"the body did not come within {allowed_s:g} s", {"Connection": "close"})
+        self.hint = "Send files in pieces through /v1/uploads (tus); only they may take longer."
 
 
 class BodyTooLarge(HTTPException):

@@ -15,6 +15,7 @@ from typing import Any
 import httpx
 import uvicorn
 
+from api.__main__ import server_config
 from api.main import create_app
 from api.services import Services
 from tests.builders import corner_rig, site_of
@@ -89,11 +90,11 @@ class LiveApi:
 
 
 @contextmanager
-def live_api(settings: ServiceSettings) -> Iterator[LiveApi]:
+def live_api(settings: ServiceSettings, **serving: Any) -> Iterator[LiveApi]:
     """Serve until the block ends."""
     app = create_app(settings)
     listener = socket.create_server(("127.0.0.1", 0))
-    server = uvicorn.Server(uvicorn.Config(app, log_level="warning", timeout_graceful_shutdown=2))
+    server = uvicorn.Server(server_config(app, **{"timeout_graceful_shutdown": 2, **serving}))
     thread = threading.Thread(target=server.run, kwargs={"sockets": [listener]}, daemon=True)
     thread.start()
     try:
