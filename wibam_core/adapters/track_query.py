@@ -6,17 +6,27 @@ import re
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
+from functools import cache
 from pathlib import Path
 from typing import Any
 
 import duckdb
 import pyarrow as pa
+import pyarrow.parquet as pq
 
 from wibam_core.errors import InputError
 from wibam_core.road_users import RoadUserClass
 
 _MOST_CORNERS = 100
 _BATCH_ROWS = 20_000
+_CONFIG: dict[str, str | bool | int | float | list[str]] = {
+    "threads": 1,
+    "memory_limit": "256MB",
+    "temp_directory": "",
+    "preserve_insertion_order": True,
+    "autoload_known_extensions": False,
+    "autoinstall_known_extensions": False,
+}
 _BOUNDS = "x_min,y_min,x_max,y_max in m, for example -10,-10,10,10"
 _POLYGON = "corners x1,y1;x2,y2;x3,y3 in m, for example 0,0;10,0;10,10"
 Point = tuple[float, float]
@@ -100,16 +110,72 @@ def cursor_of(time_ns: int, track_id: int) -> str:
 def query_tracks(path: Path, query: TrackQuery) -> Iterator[pa.RecordBatchReader]:
     """The states that match, sorted by time, then track, in batches of bounded size.
 
+    They are read while they are taken: whoever stops taking them stops the query, and memory does not grow with their
+    number. Of the file, the parts that cannot hold any are not read: it is sorted, and says of each what times and
+    tracks are in it.
+
     Args:
         path: a file of `wibam_core.formats.tracks`.
         query: which states.
     """
+    with pq.ParquetFile(path, pre_buffer=False) as file, _engine().cursor() as connection:
+        schema = _plain_schema(file.schema_arrow)
+        yield pa.RecordBatchReader.from_batches(schema, _matching(file, schema, connection, query))
+
+
+def _matching(
+    file: pq.ParquetFile, schema: pa.Schema, connection: duckdb.DuckDBPyConnection, query: TrackQuery
+) -> Iterator[pa.RecordBatch]:
     restricting, values = conditions(query)
     where = f"WHERE {' AND '.join(restricting)}" if restricting else ""
-    limit = f"LIMIT {int(query.limit)}" if query.limit is not None else ""
-    sql = f"SELECT * FROM read_parquet(?) {where} ORDER BY time_ns, track_id {limit}"
-    with duckdb.connect(":memory:", config={"threads": 1}) as connection:
-        yield connection.sql(sql, params=[str(path), *values]).to_arrow_reader(_BATCH_ROWS)
+    sql = f"SELECT * FROM states {where}"  # in the order of the file: preserve_insertion_order
+    left = query.limit
+    for part in _parts(file, _row_groups(file.metadata, query)):
+        connection.register("states", pa.Table.from_batches([part]))
+        found = connection.sql(sql, params=values).to_arrow_table().cast(schema)
+        connection.unregister("states")
+        if left is not None:
+            found = found.slice(0, left)
+            left -= len(found)
+        yield from found.to_batches()
+        if left == 0:
+            return
+
+
+def _parts(file: pq.ParquetFile, groups: list[int]) -> Iterator[pa.RecordBatch]:
+    for group in groups:  # one by one: together they would be read ahead
+        yield from file.iter_batches(_BATCH_ROWS, row_groups=[group], use_threads=False)
+
+
+def _row_groups(metadata: pq.FileMetaData, query: TrackQuery) -> list[int]:
+    """Those that may hold states of the query, by the statistics of the file."""
+    start = max((t for t in (query.start_ns, query.after[0] if query.after else None) if t is not None), default=None)
+    names = [metadata.schema.column(column).name for column in range(metadata.num_columns)]
+    found = []
+    for group in range(metadata.num_row_groups):
+        times = metadata.row_group(group).column(names.index("time_ns")).statistics
+        tracks = metadata.row_group(group).column(names.index("track_id")).statistics
+        if times is not None and times.has_min_max:
+            if start is not None and times.max < start:
+                continue
+            if query.end_ns is not None and times.min >= query.end_ns:
+                continue
+        among = tracks is None or not tracks.has_min_max or not query.track_ids
+        if among or any(tracks.min <= track_id <= tracks.max for track_id in query.track_ids):
+            found.append(group)
+    return found
+
+
+def _plain_schema(schema: pa.Schema) -> pa.Schema:
+    """Without dictionaries, which not every reader of an answer knows."""
+    plain = [field.with_type(pa.string()) if pa.types.is_dictionary(field.type) else field for field in schema]
+    return pa.schema([pa.field(field.name, field.type) for field in plain])
+
+
+@cache
+def _engine() -> duckdb.DuckDBPyConnection:
+    """One a process, for all queries: it bounds their memory together. Queries have cursors of their own."""
+    return duckdb.connect(":memory:", config=_CONFIG)
 
 
 def conditions(query: TrackQuery) -> tuple[list[str], list[Any]]:

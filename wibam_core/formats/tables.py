@@ -80,11 +80,20 @@ def class_named(name: str, error: type[InputError] = InputError) -> RoadUserClas
     return found
 
 
-def write_table(path: Path, table: pa.Table, *, empty_instants: Iterable[tuple[int, str | None]] = ()) -> None:
-    """Write a table. ``empty_instants``: (time_ns, camera_id) pairs that were looked at and hold nothing."""
+def write_table(
+    path: Path, table: pa.Table, *, empty_instants: Iterable[tuple[int, str | None]] = (), group_rows: int | None = None
+) -> None:
+    """Write a table.
+
+    Args:
+        path: of the file.
+        table: its rows.
+        empty_instants: (time_ns, camera_id) pairs that were looked at and hold nothing.
+        group_rows: so many rows can be read without the others; None for the usual million.
+    """
     empty = json.dumps(sorted(empty_instants, key=lambda pair: (pair[0], pair[1] or ""))).encode()
     table = table.replace_schema_metadata({_EMPTY_INSTANTS: empty})
-    pq.write_table(table, path, compression="zstd")
+    pq.write_table(table, path, compression="zstd", row_group_size=group_rows)
 
 
 def read_table(
