@@ -12,10 +12,8 @@ from fastapi import FastAPI
 from fastapi.openapi.utils import get_openapi
 from starlette.concurrency import run_in_threadpool
 from starlette.middleware.cors import CORSMiddleware
-from starlette.responses import HTMLResponse
 
 from api.access import needed_scope
-from api.docs_page import DOCS_PAGE
 from api.housekeeping import Housekeeper
 from api.problems import Problem, add_handlers, documented
 from api.routes import (
@@ -115,7 +113,6 @@ def create_app(settings: ServiceSettings) -> FastAPI:
         system.router,
     ):
         app.include_router(router)
-    app.add_api_route("/docs", lambda: HTMLResponse(DOCS_PAGE), include_in_schema=False)
     add_pages(app)
     app.openapi = lambda: _openapi(app)  # type: ignore[method-assign]
     app.add_middleware(Gate, token_sha256=settings.token_sha256, passes=services.passes, keys=services.keys)

@@ -142,6 +142,12 @@ def sign_in_page(request: Request, services: ServicesDep) -> Response:
     return page("sign_in")
 
 
+@router.get("/docs")
+def docs() -> HTMLResponse:
+    """For whoever has no token, too: it says how to use one."""
+    return page("docs")
+
+
 @router.get("/share/{job_id}")
 def shared(job_id: Id, services: ServicesDep, request: Request, key: str = "") -> Response:
     """Trades a link (`POST /v1/jobs/{job_id}/share-link`) for a cookie, so that the key does not stay in addresses."""

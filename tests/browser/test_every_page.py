@@ -13,6 +13,7 @@ from tests.service import LiveApi
 
 PAGES = {
     "sign-in": lambda site, job: "/sign-in",
+    "docs": lambda site, job: "/docs",
     "jobs": lambda site, job: "/jobs",
     "job": lambda site, job: f"/jobs/{job}",
     "preflight": lambda site, job: f"/jobs/{job}/preflight",
@@ -133,3 +134,13 @@ def test_two_jobs_stand_side_by_side(signed_in: Visit, api: LiveApi, ids: tuple[
     page.get_by_role("heading", name="B: longer").wait_for()
     signed_in.picture("compare")
     signed_in.complaints.clear()  # the console names results that the second has yet to make
+
+
+def test_the_api_is_documented_for_whoever_has_no_token(tab: Visit, api: LiveApi) -> None:
+    page = tab.open("/docs")
+    page.get_by_role("heading", name="schemas").wait_for()
+    shown = page.locator("summary").all_inner_texts()
+    for path, operations in api.http.get("/openapi.json").json()["paths"].items():
+        for method, operation in operations.items():
+            assert f"{method.upper()} {path} {operation['summary']}" in shown
+    page.locator("summary", has_text="GET /healthz").click()

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import re
+
 import httpx
 import pytest
 
@@ -147,3 +149,11 @@ class TestNames:
         assert api.http.get("/v1/jobs", params={"site": site, "state": ["failed"]}).json() == []
         assert len(api.http.get("/v1/jobs", params={"site": site, "state": ["queued", "running"]}).json()) == 3
         assert api.http.get("/v1/jobs", params={"after": "job_0"}).status_code == 404
+
+
+def test_no_page_has_a_script_or_a_style_of_its_own(signed_in: httpx.Client) -> None:
+    for path in ("/sign-in", "/docs", "/jobs", "/sites", "/keys", "/compare"):
+        answer = signed_in.get(path, follow_redirects=True)
+        assert answer.status_code == 200, path
+        assert "script-src 'self';" in answer.headers["content-security-policy"]
+        assert not re.search(r"<script(?![^>]*\bsrc=)|<style|\son\w+=|\sstyle=", answer.text), path
