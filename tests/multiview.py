@@ -12,10 +12,13 @@ import cv2
 import numpy as np
 
 from tests.builders import corner_rig
+from wibam_core.calibration.views import cut_view
 from wibam_core.geometry.box3d import vehicle_to_world
 from wibam_core.geometry.boxes2d import clipped_to_image
+from wibam_core.geometry.camera import Camera
 from wibam_core.road_users import RoadUserClass
 from wibam_core.scene import AnnotatedInstant, CameraRig, Detections2D, MultiViewVehicle, Vehicles3D
+from wibam_core.site import ViewDirection
 
 SIZES = {
     RoadUserClass.CAR: (4.4, 1.8, 1.5),
@@ -309,6 +312,27 @@ def _visible_boxes(camera, present, scale: float = 2.0, min_share: float = 0.25)
         start, end = low + (columns.min(), rows.min()), low + (columns.max() + 1, rows.max() + 1)
         found[k] = np.concatenate([start, end]) / scale - 0.5
     return found
+
+
+def wide_rig() -> CameraRig:
+    """The cameras of `corner_rig` with fisheye lenses, each with two views side by side that show the middle."""
+    mounted, views = {}, {}
+    K = np.array([[260.0, 0, 399.5], [0, 260.0, 299.5], [0, 0, 1.0]])
+    for camera_id, camera in corner_rig().items():
+        wide = Camera(K, np.array([0.02, -0.01, 0.0, 0.0]), camera.T_world_cam, 800, 600, "fisheye")
+        towards_deg = np.degrees(np.arctan2(*camera.T_world_cam.rotation[[1, 0], 2]))
+        sides = [
+            ViewDirection(azimuth_deg=towards_deg + turn, down_deg=24.0, across_deg=56.0) for turn in (28.0, -28.0)
+        ]
+        mounted[camera_id] = wide
+        views[camera_id] = tuple(cut_view(wide, side, f"{camera_id}.{k}") for k, side in enumerate(sides, 1))
+    return CameraRig(mounted, views)
+
+
+@lru_cache(maxsize=1)
+def wide_crossing(duration_s: float = 6.4) -> Scene:
+    """The same traffic as `crossing`, in view of `wide_rig`; made once."""
+    return record(wide_rig(), traffic(1, duration_s, start_s=-22.0), duration_s=duration_s, seed=1)
 
 
 @lru_cache(maxsize=4)

@@ -115,7 +115,7 @@ def _cpu_s(footage: Footage, config: PipelineConfig, bfloat16: bool) -> dict[str
         else 3.0 + asks_lights * 1.4 * decoding + asks_traffic * (decoding + 0.018 * watched),
         "frames": 1.0 + decoding + 0.012 * footage.stored_megapixels * stored,
         "detect": 2.0 + (0.0125 + decoded_jpeg) * searched + (config.detect.refine != "off") * 0.035 * searched,
-        "refine": 0.7 if config.refine.method == "none" else 3.0 + 4.0 * minutes * footage.cameras / 4,
+        "refine": 0.7 if config.refine.method == "none" else 3.0 + 9.0 * min(minutes, 5.0) * footage.cameras / 4,
         "rounds": 1.0 + config.rounds.most * (fitting + teaching + (image + decoded_jpeg + 0.04) * searched),
         "associate": 1.0 + 2.0 * minutes * footage.cameras / 4,
         "dataset": 1.5,

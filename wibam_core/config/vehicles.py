@@ -39,7 +39,7 @@ class DetectConfig(StageConfig):
 
 class RefineConfig(StageConfig):
     method: Literal["traffic", "none"] = Field(
-        "none",
+        "traffic",
         description="'none': cameras stay as calibrated; 'traffic': how they are held, and where, is refined by the"
         " road users that several of them see, and taken where it fits others better that it was not found by",
     )
@@ -54,6 +54,13 @@ class RefineConfig(StageConfig):
         " one that was solved from points, these say how well it is known",
     )
     position_sd_m: float = Field(0.05, gt=0, le=10, description="the same of where it is, along each axis")
+    ground_sd_m: float = Field(
+        0.3,
+        gt=0,
+        le=10,
+        description="standard deviation of where the road lies against the world's Z = 0: how far all cameras together"
+        " may be found higher or lower above it than they were calibrated, or, 40 m from their middle, by its tilt",
+    )
     clock_sd_s: float = Field(
         0.015, gt=0, le=1, description="how far synchronised clocks may still be off; such an error turns no camera"
     )

@@ -26,8 +26,19 @@ class RefinedCamera(Document):
     """Those of the position along the world's x, y and z."""
 
 
+class RefinedGround(Document):
+    """Where the road's plane was found, in the world as calibrated. The refined cameras have it at Z = 0 again."""
+
+    height_m: float
+    """Where the cameras have their middle."""
+    slope_x: float
+    """How much it rises along the world's X, m per m."""
+    slope_y: float
+
+
 class HeldOut(Document):
-    """Vehicles that several cameras see and the calibration was not refined by: how well they fit all their views."""
+    """Vehicles that several cameras see, each of them judged by cameras that it was left out of refining: how well they
+    fit all their views."""
 
     vehicles: int
     before_px: float
@@ -54,8 +65,10 @@ class Refinement(Document):
     sightings: int = 0
     """Of these."""
     held_out: HeldOut | None = None
+    ground: RefinedGround | None = None
+    """Null where nothing was refined."""
     cameras: dict[str, RefinedCamera] = Field(default_factory=dict)
     """By camera id; none where nothing was refined."""
     covariances: dict[str, list[list[float]]] = Field(default_factory=dict)
-    """By camera id the covariance of the camera as it is used, where anything is known of it: of the rotation about its
-    axes (rad) and of the position in the world (m), in this order."""
+    """By camera id, or that of a view of a wide lens, the covariance of the camera as it is used, where anything is
+    known of it: of the rotation about its axes (rad) and of the position in the world (m), in this order."""

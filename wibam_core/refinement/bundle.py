@@ -11,12 +11,14 @@ camera, and is exact. What was known of the cameras before stands beside the edg
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 import torch
 
 from wibam_core.lifting.fit import LOG_SIZE, ROBUST_SD, YAW, Contacts, FitProblem, X, Y, contacts
 from wibam_core.refinement.cameras import LOG_FOCAL, POSITION, ROTATION, Prior, changed, slopes_by_lens
+from wibam_core.refinement.mounts import mounts_of
 from wibam_core.refinement.shared import EDGE_BIAS_SD, Shared, outward
 from wibam_core.refinement.sightings import Sightings
 from wibam_core.scene import CameraRig, FloatArray, IntArray
@@ -29,8 +31,10 @@ _INDEPENDENT_SIGHTINGS = 4.0
 #: Errors that all views of a vehicle share leave no residual: edges are this many times noisier than residuals say.
 _HIDDEN_NOISE = 1.5
 _NOISE_LIMITS = (0.5, 8.0)
-#: Steps are at most so many, and stop when the cost falls by less than this share.
-_STEPS, _LEAST_GAIN = 60, 1e-5
+#: Steps are at most so many, and stop when the cost falls by less than this share; fewer and sooner while the noise is
+#: not known yet.
+_STEPS, _LEAST_GAIN = 60, 3e-5
+_FIRST_STEPS, _FIRST_LEAST_GAIN = 12, 1e-3
 #: How far a sighting moves in one step at most: m, m, rad; a vehicle's size, as a share.
 _STEP_OWN, _STEP_SIZE = np.array([2.0, 2.0, 0.4]), 0.2
 
@@ -69,17 +73,17 @@ def adjust(sightings: Sightings, prior: Prior, start: Adjusted | None = None, *,
             somewhere else, which would turn the camera.
     """
     weights = 1.0 / np.maximum(1.0, np.bincount(sightings.vehicles) / _INDEPENDENT_SIGHTINGS)[sightings.vehicles]
-    changes = np.zeros(prior.covariance.shape[:2]) if start is None else start.changes
-    common = Shared.of(sightings, len(prior.rig), clock_sd_s)
+    changes = np.zeros(prior.own.shape[:2]) if start is None else start.changes
+    common = Shared.of(sightings, len(prior.rig.mounted), clock_sd_s)
     shared = np.zeros(len(common.sd))
     parameters = sightings.problem.prior_mean.numpy().copy()
     noise = 3.0
     state = _State.at(sightings, prior, common, changes, shared, parameters, noise, weights)
     for _ in range(3):  # the noise follows from residuals, and these from the noise
-        state = _descend(state)
+        state = _descend(state, _FIRST_STEPS, _FIRST_LEAST_GAIN)
         noise = state.noise_of_residuals()
         state = _State.at(sightings, prior, common, state.changes, state.shared, state.parameters, noise, weights)
-    state = _descend(state)
+    state = _descend(state, _STEPS, _LEAST_GAIN)
     return Adjusted(
         state.rig,
         state.changes,
@@ -91,12 +95,12 @@ def adjust(sightings: Sightings, prior: Prior, start: Adjusted | None = None, *,
     )
 
 
-def _descend(state: _State) -> _State:
+def _descend(state: _State, steps: int, least_gain: float) -> _State:
     damping = 1e-3
-    for _ in range(_STEPS):
+    for _ in range(steps):
         tried = state.stepped(damping)
         if tried.cost < state.cost:
-            settled = state.cost - tried.cost < _LEAST_GAIN * state.cost
+            settled = state.cost - tried.cost < least_gain * state.cost
             state, damping = tried, max(damping * 0.2, 1e-7)
             if settled:
                 break
@@ -124,6 +128,7 @@ class _State:
     residuals: FloatArray  # (N, V, 4) in standard deviations; 0 where nothing is compared
     compared: FloatArray  # (N, V, 4) 0 or 1
     exact: FloatArray  # (N, V, 4) whether compared both ways
+    contacts: Contacts
     cost: float
 
     @classmethod
@@ -140,7 +145,7 @@ class _State:
     ) -> _State:
         rig = changed(prior.rig, changes)
         problem = sightings.through(rig)
-        late_s = shared[common.clocks][sightings.cameras]
+        late_s = shared[common.clocks][mounts_of(rig)[0][sightings.cameras]]
         problem = replace(
             problem,
             body=problem.body + torch.as_tensor(common.bodies(shared)),
@@ -159,8 +164,8 @@ class _State:
         off_size, size_weight = _size_prior(sightings, parameters, problem, common.sizes(shared))
         cost += float(0.5 * (size_weight * off_size**2).sum())
         cost += float(0.5 * np.square(shared / common.sd).sum())
-        if changes.shape[1]:
-            cost += float(0.5 * np.einsum("ci,cij,cj->", changes, np.linalg.inv(prior.covariance), changes))
+        if changes.size:
+            cost += float(0.5 * changes.ravel() @ prior.information @ changes.ravel())
         return cls(
             sightings,
             prior,
@@ -175,8 +180,14 @@ class _State:
             residuals,
             compared.astype(np.float64),
             used & exact,
+            found,
             cost,
         )
+
+    @cached_property
+    def derivatives(self) -> tuple[FloatArray, FloatArray]:
+        """See `_derivatives`."""
+        return _derivatives(self)
 
     def residuals_px(self) -> FloatArray:
         px = self.residuals * self.noise * self.problem.edge_sd.numpy()
@@ -249,7 +260,7 @@ class _Reduced:
     @classmethod
     def of(cls, state: _State, damping: float) -> _Reduced:
         vehicles, more = state.sightings.vehicles, 1.0 + damping
-        by_vehicle, by_camera = _derivatives(state)
+        by_vehicle, by_camera = state.derivatives
         robust = state.compared / (1.0 + (state.residuals / ROBUST_SD) ** 2) * state.weights[:, None, None]
         weight, residual = robust.reshape(len(vehicles), -1), state.residuals.reshape(len(vehicles), -1)
         weighted = by_vehicle * weight[..., None]
@@ -296,13 +307,10 @@ class _Reduced:
         through = np.linalg.solve(sizes, np.concatenate([size_cameras, size_pull[..., None]], axis=2))
         cameras -= np.einsum("msc,msd->cd", size_cameras, through[:, :, :-1])
         camera_pull -= np.einsum("msc,ms->c", size_cameras, through[:, :, -1])
-        unknowns = state.changes.shape[1]
-        if unknowns:
-            for k, information in enumerate(np.linalg.inv(state.prior.covariance)):
-                mine = slice(k * unknowns, (k + 1) * unknowns)
-                cameras[mine, mine] += information
-                camera_pull[mine] += information @ state.changes[k]
         first = state.changes.size
+        if first:
+            cameras[:first, :first] += state.prior.information
+            camera_pull[:first] += state.prior.information @ state.changes.ravel()
         shared = np.arange(first, len(cameras))
         cameras[shared, shared] += common.sd**-2.0
         camera_pull[shared] += state.shared * common.sd**-2.0
@@ -323,22 +331,23 @@ class _Reduced:
 
 def _derivatives(state: _State) -> tuple[FloatArray, FloatArray]:
     """Of the residuals (N, V·4): by the vehicle's unknowns (…, 6), and by those of all cameras (…, CP)."""
-    problem = state.problem
-    found = contacts(problem, torch.as_tensor(state.parameters))
+    problem, found = state.problem, state.contacts
     sd = (state.noise * problem.edge_sd).numpy()[..., None]
     by_vehicle = found.derivatives.numpy() / sd
     count, unknowns = state.changes.shape
+    cameras = state.sightings.cameras
+    mounts, turns = mounts_of(state.rig)
     n, slots = state.sightings.cameras.shape
     by_camera = np.zeros((n, slots, 4, count, unknowns))
     if unknowns:
         slopes, points = found.slopes.numpy(), found.points.numpy()
         own = np.zeros((n, slots, 4, unknowns))
         # turning a camera by w moves what it sees by −w × p
-        own[..., ROTATION] = np.cross(slopes, points)
+        own[..., ROTATION] = np.einsum("nver,nvrw->nvew", np.cross(slopes, points), turns[cameras])
         own[..., POSITION] = -np.einsum("nvec,nvcw->nvew", slopes, problem.cameras.rotation.numpy())
         for column in range(LOG_FOCAL, unknowns):
             own[..., column] = slopes_by_lens(problem.cameras, found.points, column)
-        by_camera[np.arange(n)[:, None], np.arange(slots), :, state.sightings.cameras] = own / sd
+        by_camera[np.arange(n)[:, None], np.arange(slots), :, mounts[cameras]] = own / sd
     shape = (n, slots * 4)
     flat = by_camera.reshape(*shape, count * unknowns)
     by_shared = (_by_shared(state, found) / sd).reshape(*shape, len(state.shared))
@@ -358,7 +367,7 @@ def _by_shared(state: _State, found: Contacts) -> FloatArray:
     x, y, z = np.moveaxis(local, -1, 0)
     moved_m = np.stack([cos * x - sin * y, sin * x + cos * y, z], axis=-1)
     in_world = np.einsum("nvec,nvcw->nvew", found.slopes.numpy(), problem.cameras.rotation.numpy())
-    velocities, cameras = state.sightings.velocities, state.sightings.cameras
+    velocities, cameras = state.sightings.velocities, mounts_of(state.rig)[0][state.sightings.cameras]
     by_time = np.einsum("nvew,nw->nve", in_world[..., :2], velocities)
     result[at[:, 0], np.arange(cameras.shape[1]), :, common.clocks.start + cameras] = by_time
     by_mode = np.einsum("nvew,nvekw->nvek", in_world, moved_m)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import cv2
 import numpy as np
@@ -23,20 +24,61 @@ _STEP_LENS = 1e-5
 
 @dataclass(frozen=True, eq=False)
 class Prior:
-    """What is known of C cameras before.
+    """What is known of C cameras, as they hang at the site, before.
+
+    The world's plane Z = 0 is where the road is said to be. Where the road truly lies is not known as well as where
+    cameras are against each other, so that all of them may move together against it: up and down, and tilting.
 
     Attributes:
         rig: the cameras.
-        covariance: (C, P, P) of their unknowns: 6, or 7 with the focal length, or 8 with the distortion as well.
+        own: (C, P, P) covariance of each camera's unknowns: 6, or 7 with the focal length, or 8 with the distortion as
+            well.
+        common: (C, P, G) by how much these change with each of G motions of all cameras together, in standard
+            deviations of these motions; see `against_the_road`.
     """
 
     rig: CameraRig
-    covariance: FloatArray
+    own: FloatArray
+    common: FloatArray
+
+    @classmethod
+    def fixed(cls, rig: CameraRig) -> Prior:
+        """Cameras that stay where they are."""
+        none = np.zeros((len(rig.mounted), 0, 0))
+        return cls(rig, none, none)
+
+    @property
+    def covariance(self) -> FloatArray:
+        """(C, P, P) of each camera by itself."""
+        return self.own + self.common @ self.common.transpose(0, 2, 1)
+
+    @cached_property
+    def information(self) -> FloatArray:
+        """(CP, CP) inverse covariance of all unknowns, camera by camera."""
+        count, unknowns = self.own.shape[:2]
+        joint = np.zeros((count, unknowns, count, unknowns))
+        joint[np.arange(count), :, np.arange(count)] = self.own
+        flat = self.common.reshape(count * unknowns, -1)
+        return np.asarray(np.linalg.inv(joint.reshape(len(flat), -1) + flat @ flat.T))
+
+
+def against_the_road(rig: CameraRig, unknowns: int, height_sd_m: float, tilt_sd_rad: float) -> FloatArray:
+    """(C, unknowns, 3) what `Prior.common` is where cameras rise together above the road and tilt about the world's X
+    and Y axes through their middle."""
+    middle = np.mean([camera.centre_m for camera in rig.mounted.values()], axis=0)
+    found = np.zeros((len(rig.mounted), unknowns, 3))
+    for own, camera in zip(found, rig.mounted.values(), strict=True):
+        own[POSITION, 0] = [0.0, 0.0, height_sd_m]
+        for column, axis in ((1, np.array([1.0, 0.0, 0.0])), (2, np.array([0.0, 1.0, 0.0]))):
+            own[ROTATION, column] = tilt_sd_rad * camera.T_world_cam.rotation.T @ axis
+            own[POSITION, column] = tilt_sd_rad * np.cross(axis, camera.centre_m - middle)
+    return found
 
 
 def changed(rig: CameraRig, changes: FloatArray) -> CameraRig:
-    """The cameras with their unknowns changed by (C, P)."""
-    return CameraRig({name: _changed(rig[name], own) for name, own in zip(rig, changes, strict=True)})
+    """The cameras with their unknowns changed by (C, P); views turn and move with the camera that they are cut from."""
+    mounted = zip(rig.mounted.items(), changes, strict=True)
+    return CameraRig({name: _changed(camera, own) for (name, camera), own in mounted}, rig.views)
 
 
 def _changed(camera: Camera, change: FloatArray) -> Camera:

@@ -15,6 +15,7 @@ from wibam_core.lifting.fit import FitProblem
 from wibam_core.lifting.lift import clusters_in_motion, fit_problem, moved
 from wibam_core.lifting.observations import observe
 from wibam_core.lifting.trajectory import Tracks
+from wibam_core.refinement.mounts import mounts_of
 from wibam_core.road_users import BODIES, LOG_SIZE_MEAN, LOG_SIZE_SD, VULNERABLE
 from wibam_core.scene import AnnotatedInstant, CameraRig, FloatArray, IntArray
 
@@ -27,7 +28,7 @@ _VEHICLES = 200
 
 @dataclass(frozen=True, eq=False)
 class Sightings:
-    """N sightings of M vehicles, each in two views at least.
+    """N sightings of M vehicles, each by two cameras at least.
 
     Attributes:
         problem: their edges, with what is known of sizes and headings before; float64, counted from ``origin``.
@@ -84,7 +85,9 @@ def choose(instants: Sequence[AnnotatedInstant], rig: CameraRig) -> Sightings:
     tracks = Tracks.group(seen.tracks, seen.times_ns)
     motion, yaw, yaw_sd = clusters_in_motion(seen, tracks, 2)
     places = tracks.scatter(motion.position, seen.positions.copy())
-    usable = (seen.seen.sum(axis=1) > 1) & np.isfinite(yaw_sd)
+    mounts = np.where(seen.seen, mounts_of(rig)[0][seen.cameras], -1)
+    several = np.array([len(set(row) - {-1}) > 1 for row in mounts.tolist()], dtype=bool)
+    usable = several & np.isfinite(yaw_sd)
     rows, vehicles = _spread(tracks, usable, places)
     problem = fit_problem(
         seen,

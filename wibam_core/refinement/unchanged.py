@@ -10,6 +10,7 @@ from wibam_core.config import RefineConfig
 from wibam_core.documents.calibration import CalibrationResiduals
 from wibam_core.documents.refinement import Refinement
 from wibam_core.documents.warnings import Caution
+from wibam_core.refinement.mounts import of_what_is_seen
 from wibam_core.scene import CameraRig, FloatArray
 
 
@@ -23,9 +24,9 @@ class Refined:
 
 
 def known_covariances(rig: CameraRig, residuals: CalibrationResiduals) -> dict[str, FloatArray]:
-    """Camera id -> (6, 6) covariance of rotation and position, of the cameras that were solved from enough points."""
-    found = {camera_id: residuals.cameras[camera_id].covariance for camera_id in rig if camera_id in residuals.cameras}
-    return {camera_id: np.array(matrix)[:6, :6] for camera_id, matrix in found.items() if matrix is not None}
+    """Covariances as of `of_what_is_seen`, of the cameras that were solved from enough points."""
+    found = {name: residuals.cameras[name].covariance for name in rig.mounted if name in residuals.cameras}
+    return of_what_is_seen(rig, {name: np.array(matrix) for name, matrix in found.items() if matrix is not None})
 
 
 def unchanged(rig: CameraRig, residuals: CalibrationResiduals, config: RefineConfig, reason: str) -> Refined:

@@ -85,6 +85,7 @@ def assemble(
         for name, found in (("baseline", before), ("finetuned", after))
     }
     tracks = inputs.read(catalogue.TRACKS)
+    residuals = inputs.read(catalogue.RESIDUALS)
     made = {stage: inputs.manifest(stage) for stage in titles if stage in inputs.stages}
     timeline = LabelTimeline(read_labels(labels)) if labels is not None and metrics.finetuned is not None else None
     return ReportData(
@@ -94,7 +95,9 @@ def assemble(
         rig=rig,
         recordings=_recordings(inputs.read(catalogue.PROBE)),
         synchronisation=_synchronisation(inputs.read(catalogue.CHANGES)),
-        calibration=_calibration(inputs.read(catalogue.RESIDUALS)),
+        calibration=_calibration(residuals),
+        overlap=residuals.overlap,
+        refinement=inputs.read(catalogue.REFINEMENT),
         dataset=_dataset(inputs),
         rounds=inputs.read(catalogue.ROUNDS),
         training=_training(

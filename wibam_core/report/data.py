@@ -8,8 +8,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from wibam_core.documents.calibration import Overlap
 from wibam_core.documents.conflicts import ConflictRow
 from wibam_core.documents.metrics import Metrics
+from wibam_core.documents.refinement import Refinement
 from wibam_core.documents.rounds import Rounds
 from wibam_core.documents.statistics import SubsetStatistics
 from wibam_core.documents.synchronisation import Alternative, PlacedSegment, TrafficPair
@@ -183,6 +185,8 @@ class ReportData:
     recordings: tuple[Recording, ...]
     synchronisation: Synchronisation
     calibration: tuple[CalibrationRow, ...]
+    overlap: Overlap | None
+    refinement: Refinement
     dataset: Dataset
     rounds: Rounds
     training: Training

@@ -11,6 +11,7 @@ from wibam_core.documents.statistics import SubsetStatistics
 from wibam_core.documents.synchronisation import TrafficPair
 from wibam_core.documents.warnings import StageWarning
 from wibam_core.report.advice import advice
+from wibam_core.report.cameras import overlap_rows, overlap_text, refined_rows, refinement_text
 from wibam_core.report.data import Dataset, ReportData
 from wibam_core.report.pictures import MAX_CONFLICTS, Picture, Pictures
 from wibam_core.report.results import NETWORKS, ResultRow, compared, result_rows, z_tests
@@ -78,6 +79,10 @@ class Page:
     rounds_text: str
     round_titles: tuple[str, ...]
     rounds: tuple[tuple[str, ...], ...]
+    overlaps: tuple[tuple[str, ...], ...]
+    overlap_text: str
+    refinement_text: str
+    refined: tuple[tuple[str, ...], ...]
     dataset_text: str
     subsets: tuple[tuple[str, ...], ...]
     training_facts: tuple[tuple[str, str], ...]
@@ -130,6 +135,10 @@ def build_page(data: ReportData, pictures: Pictures) -> Page:
         rounds_text=rounds_text(data.rounds),
         round_titles=ROUND_TITLES,
         rounds=round_rows(data.rounds),
+        overlaps=overlap_rows(data.overlap),
+        overlap_text=overlap_text(data.overlap),
+        refinement_text=refinement_text(data.refinement),
+        refined=refined_rows(data.refinement),
         dataset_text=_dataset_text(data.dataset),
         subsets=tuple(_subset(name, part) for name, part in data.dataset.subsets.items()),
         training_facts=data.training.facts,

@@ -255,6 +255,7 @@ _SPECS = (
             catalogue.CHANGES,
             catalogue.RIG,
             catalogue.RESIDUALS,
+            catalogue.REFINEMENT,
             catalogue.FRAMES,
             catalogue.DETECTION_STATISTICS,
             catalogue.ROUNDS,

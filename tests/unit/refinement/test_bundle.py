@@ -2,16 +2,21 @@
 
 from __future__ import annotations
 
+import cv2
 import numpy as np
 import pytest
 import torch
 
-from tests.builders import look_at
+from tests.builders import corner_rig, look_at
+from tests.multiview import wide_rig
+from wibam_core.calibration.covariance import ground_moves
 from wibam_core.config import RefineConfig
 from wibam_core.documents.calibration import CalibrationResiduals, CameraResiduals
+from wibam_core.geometry.se3 import SE3
 from wibam_core.geometry.torch_ops import CameraTensors
 from wibam_core.refinement.cameras import K1, LOG_FOCAL, changed, slopes_by_lens
-from wibam_core.refinement.prior import prior_of
+from wibam_core.refinement.mounts import mounts_of, of_what_is_seen
+from wibam_core.refinement.prior import ground_of, prior_of
 from wibam_core.refinement.unchanged import known_covariances
 from wibam_core.scene import CameraRig
 
@@ -76,7 +81,48 @@ def test_points_hold_a_camera_by_their_covariance_and_ready_matrices_by_the_opti
     both = CalibrationResiduals(cameras={"points": residuals(given), "matrices": residuals(None)})
     config = RefineConfig(rotation_sd_deg=1.0, position_sd_m=0.2, intrinsics="focal")
     prior = prior_of(rig, both, config)
-    assert prior.covariance.shape == (2, 7, 7)
-    assert np.diagonal(prior.covariance[0])[:6] == pytest.approx(np.diagonal(given)[:6], rel=1e-2)
-    assert np.sqrt(np.diagonal(prior.covariance[1])[:6]) == pytest.approx([np.radians(1.0)] * 3 + [0.2] * 3)
+    assert prior.own.shape == (2, 7, 7)
+    assert np.diagonal(prior.own[0])[:6] == pytest.approx(np.diagonal(given)[:6], rel=1e-2)
+    sd = np.sqrt(np.diagonal(prior.own[1])[:6])
+    assert (sd <= [np.radians(1.0)] * 3 + [0.2] * 3).all() and (sd > [np.radians(0.2)] * 3 + [0.05] * 3).all()
+    on_ground = ground_moves(CAMERA, POINTS[:1])[0] @ prior.own[1][:6, :6] @ ground_moves(CAMERA, POINTS[:1])[0].T
+    assert 0.1 < np.sqrt(np.trace(on_ground)) < np.radians(1.0) * 30.0
     assert set(known_covariances(rig, both)) == {"points"}
+
+
+def test_all_cameras_may_be_found_higher_and_tilted_together_at_little_cost() -> None:
+    """The road lies lower by 0.2 m than it was taken to, and by 0.1 m more for each 10 m towards north and east."""
+    rig = corner_rig()
+    prior = prior_of(rig, CalibrationResiduals(cameras={}), RefineConfig())
+    middle = np.mean([camera.centre_m for camera in rig.values()], axis=0)
+    tilt = SE3.from_rvec_tvec([0.01, -0.01, 0.0], np.zeros(3))
+    changes = []
+    for camera in rig.values():
+        position = middle + tilt.apply(camera.centre_m - middle) + [0.0, 0.0, 0.2]
+        turn = SE3(camera.T_world_cam.rotation.T @ tilt.rotation @ camera.T_world_cam.rotation, np.zeros(3))
+        changes.append([*turn.to_rvec_tvec()[0], *(position - camera.centre_m)])
+    together, alone = np.array(changes), np.zeros((4, 6))
+    alone[0] = changes[0]
+    height_m, slope_x, slope_y = ground_of(together, prior)
+    assert height_m == pytest.approx(-0.2, abs=0.02)
+    assert [slope_x, slope_y] == pytest.approx([-0.01, -0.01], abs=1e-3)
+    cost, cost_alone = (own.ravel() @ prior.information @ own.ravel() for own in (together, alone))
+    assert cost < 5.0 and cost_alone > 1.5 * cost
+
+
+def test_views_of_a_wide_lens_turn_with_the_camera_that_they_are_cut_from() -> None:
+    rig = wide_rig()
+    changes = np.random.default_rng(0).normal(0, [0.01] * 3 + [0.1] * 3, (4, 6))
+    after = changed(rig, changes)
+    mounts, turns = mounts_of(rig)
+    assert mounts.tolist() == [0, 0, 1, 1, 2, 2, 3, 3] and after.views == rig.views
+    for name, mount, turn in zip(rig, mounts, turns, strict=True):
+        between = rig[name].T_world_cam.rotation.T @ after[name].T_world_cam.rotation
+        assert cv2.Rodrigues(between)[0].ravel() == pytest.approx(turn @ changes[mount, :3], abs=1e-9)
+        assert after[name].centre_m - rig[name].centre_m == pytest.approx(changes[mount, 3:])
+    own = np.diag([1.0, 2.0, 3.0, 4.0, 5.0, 6.0])
+    seen = of_what_is_seen(rig, dict.fromkeys(rig.mounted, own))
+    assert tuple(seen) == tuple(rig)
+    for name, turn in zip(rig, turns, strict=True):
+        assert seen[name][:3, :3] == pytest.approx(turn @ own[:3, :3] @ turn.T)
+        assert seen[name][3:, 3:] == pytest.approx(own[3:, 3:])

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from tests.builders import site_of
-from tests.multiview import crossing
+from tests.multiview import crossing, wide_crossing
 from tests.stage_folders import StageFolders
 from wibam_core.artifacts import catalogue
 from wibam_core.config import RefineConfig
@@ -54,7 +54,7 @@ def test_turned_cameras_are_turned_back(refined: Refined) -> None:
     truth = crossing().rig
     assert refined.document.taken
     assert max(off_deg(refined.rig, truth)) < 0.35 * TURNED_DEG
-    assert all(np.linalg.norm(refined.rig[name].centre_m - truth[name].centre_m) < 0.1 for name in truth)
+    assert all(np.linalg.norm(refined.rig[name].centre_m - truth[name].centre_m) < 0.2 for name in truth)
 
 
 def test_what_was_changed_is_said(refined: Refined) -> None:
@@ -84,6 +84,31 @@ def test_cameras_that_are_right_stay_to_the_bit_and_an_error_they_may_have_is_st
         assert np.linalg.eigvalsh(np.array(matrix)).min() > 0
 
 
+def test_cameras_with_wide_lenses_are_turned_back_by_what_their_views_show() -> None:
+    scene = wide_crossing()
+    mounted = turned(CameraRig(scene.rig.mounted))
+    found = refine(scene.unassociated, CameraRig(mounted.mounted, scene.rig.views), NOTHING_KNOWN, FEW)
+    assert found.document.taken and set(found.document.cameras) == set(scene.rig.mounted)
+    assert set(found.document.covariances) == set(scene.rig)
+    assert max(off_deg(found.rig, scene.rig)) < 0.5 * TURNED_DEG
+    focal = refine(scene.unassociated[:2], scene.rig, NOTHING_KNOWN, FEW.model_copy(update={"intrinsics": "focal"}))
+    assert "intrinsics" in focal.document.reason
+
+
+def test_a_road_that_lies_lower_than_it_was_taken_to_is_found() -> None:
+    """0.3 m lower: cameras are as they were measured, but for their heights above it."""
+    scene, cameras = crossing(), {}
+    for name, camera in scene.rig.items():
+        pose = camera.T_world_cam
+        cameras[name] = replace(camera, T_world_cam=SE3(pose.rotation, pose.translation - [0.0, 0.0, 0.3]))
+    found = refine(scene.unassociated, CameraRig(cameras), NOTHING_KNOWN, FEW)
+    assert found.document.taken and found.document.ground is not None
+    assert found.document.ground.height_m == pytest.approx(-0.3, abs=0.1)
+    heights_m = [found.rig[name].centre_m[2] - scene.rig[name].centre_m[2] for name in scene.rig]
+    assert np.abs(heights_m).max() < 0.1
+    assert max(off_deg(found.rig, scene.rig)) < 0.25
+
+
 @pytest.mark.parametrize(
     ("options", "words"),
     [({"min_vehicles": 500}, "fewer than refine.min_vehicles"), ({}, "two cameras")],
@@ -99,15 +124,6 @@ def test_where_nothing_can_be_said_cameras_stay_and_it_is_said_why(options: dict
     found = refine(instants, scene.rig, NOTHING_KNOWN, RefineConfig.model_validate({"method": "traffic", **options}))
     assert found.rig is scene.rig and not found.document.taken
     assert words in found.document.reason
-
-
-def test_where_one_vehicle_alone_is_held_out_cameras_stay() -> None:
-    scene = crossing()
-    few = [replace(one, detections={k: d.where(d.boxes[:, 0] < 420) for k, d in one.detections.items()})
-           for one in scene.unassociated[:40]]  # fmt: skip
-    found = refine(few, scene.rig, NOTHING_KNOWN, RefineConfig(method="traffic", min_vehicles=4))
-    assert not found.document.taken and found.rig is scene.rig
-    assert "fewer than two vehicles" in found.document.reason
 
 
 def test_stage_passes_the_rig_on_where_it_is_switched_off(tmp_path: Path) -> None:

@@ -9,8 +9,10 @@ import cv2
 import numpy as np
 
 from tests.builders import AMBIGUOUS, corner_rig
+from wibam_core.calibration.overlap import overlap_of
 from wibam_core.documents.conflicts import Conflicts
 from wibam_core.documents.metrics import Metrics
+from wibam_core.documents.refinement import RefinedCamera, RefinedGround, Refinement
 from wibam_core.documents.rounds import HeldOutAgreement, Round, Rounds
 from wibam_core.documents.statistics import SubsetStatistics
 from wibam_core.evaluation.reliability import reliability
@@ -42,6 +44,21 @@ SIZES = {
 }
 RATE_HZ = 5.0
 OPTIONS = {"max_range_m": 50.0, "min_visibility": 0.3, "match_distance_m": 4.0, "min_score": 0.3}
+
+REFINED = Refinement(
+    method="traffic",
+    taken=True,
+    reason="the reprojection error of 40 vehicles, each held out in turn, went from 2.00 to 1.00 px at the median",
+    vehicles=40,
+    sightings=300,
+    ground=RefinedGround(height_m=-0.25, slope_x=0.003, slope_y=0.004),
+    cameras={
+        name: RefinedCamera(
+            turned_deg=0.31, moved_m=0.12, late_ms=-14.0, rotation_sd_deg=[0.1] * 3, position_sd_m=[0.05] * 3
+        )
+        for name in ("cam1", "cam2")
+    },
+)
 
 
 def straight_track(
@@ -309,6 +326,8 @@ def report_data(*, labels: bool = True, site_name: str = "Elm Street / 4th Avenu
             kept=1,
             reason="as many rounds as were asked for",
         ),
+        overlap=overlap_of(rig),
+        refinement=REFINED,
         dataset=Dataset(
             detected_boxes=12345,
             unassociated_share=0.17,

@@ -39,6 +39,7 @@ def test_everything_is_read(data):
     assert [row.camera_id for row in data.calibration] == list(data.rig)
     assert data.calibration[0].points == 9 and data.calibration[0].median_px == pytest.approx(0.5**0.5)
     assert (0.0, 15.0) in data.calibration[0].pixel_m or (15.0, 30.0) in data.calibration[0].pixel_m
+    assert data.overlap is not None and len(data.overlap.pairs) == 6 and not data.refinement.taken
     assert list(data.dataset.subsets) == ["train", "val", "test"]
     assert [curve.name for curve in data.training.totals] == ["training", "validation"]
     assert {curve.name for curve in data.training.parts} == {"heatmap", "size"}

@@ -171,6 +171,16 @@ def test_the_note_says_what_the_most_braking_means(page):
     assert "&gt; 10 is more than tyres can do" in page
 
 
+def test_overlaps_and_what_the_traffic_says_of_the_cameras_are_told(page):
+    assert "Cameras were corrected by the traffic, by 40 vehicles" in page
+    assert "The road lies −0.25 m from where the calibration had it, with a slope of 0.5 % against it" in page
+    assert re.search(r'<th scope="row">cam1</th><td>0.31</td><td>0.12</td><td>–</td><td>−14</td>', page)
+    assert '<th scope="row">cam1 and cam2</th>' in page
+    kept = report_data().refinement.model_copy(update={"taken": False, "cameras": {}, "reason": "too few vehicles"})
+    text = text_alone(refinement=kept, overlap=None)
+    assert "Cameras are as they were calibrated: too few vehicles." in text and "both see" not in text
+
+
 def test_with_nothing_found_the_page_still_stands():
     page = text_alone(
         conflicts=(), synchronisation=Synchronisation((), ()), training=Training((), (), 0, ()), stages=()

@@ -12,6 +12,7 @@ from tests.stage_folders import StageFolders
 from tests.unit.report.scenes import boxes_at, crossing_traffic, metrics_json, noisy, paint
 from wibam_core.artifacts import catalogue
 from wibam_core.association.associate import association_statistics
+from wibam_core.calibration.overlap import overlap_of
 from wibam_core.calibration.residuals import Residuals
 from wibam_core.clocks import SignalChange
 from wibam_core.config import DatasetConfig, SafetyConfig
@@ -22,6 +23,7 @@ from wibam_core.documents.curves import Curves, Epoch
 from wibam_core.documents.metrics import Metrics
 from wibam_core.documents.model_card import ModelCard
 from wibam_core.documents.recordings import Probe, VideoInfo
+from wibam_core.documents.refinement import Refinement
 from wibam_core.documents.rounds import Rounds
 from wibam_core.documents.statistics import DetectionStatistics, LiftStatistics, ResidualPercentiles
 from wibam_core.formats.framestore import FrameStoreWriter
@@ -118,7 +120,8 @@ def _give_cameras(made: StageFolders, rig: CameraRig) -> None:
     world = np.array([[x, y, 0.0] for x in (-4.0, 0.0, 4.0) for y in (-4.0, 0.0, 4.0)])
     pixels = {camera_id: camera.project(world)[0] + 0.5 for camera_id, camera in rig.items()}
     residuals = {c: Residuals.of("pnp", camera, world, pixels[c]).document() for c, camera in rig.items()}
-    made.give(catalogue.RESIDUALS, CalibrationResiduals(cameras=residuals))
+    made.give(catalogue.RESIDUALS, CalibrationResiduals(cameras=residuals, overlap=overlap_of(rig)))
+    made.give(catalogue.REFINEMENT, Refinement(method="none", taken=False, reason="refine.method is none"))
     info = VideoInfo(
         codec="h264",
         container="mov",
