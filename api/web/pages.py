@@ -197,6 +197,11 @@ def results(job_id: Id, read_only: ReadOnly) -> HTMLResponse:
     return page("results", read_only=read_only, job=job_id)
 
 
+@router.get("/models", dependencies=SignedIn)
+def models() -> HTMLResponse:
+    return page("models")
+
+
 @router.get("/compare", dependencies=SignedIn)
 def compare() -> HTMLResponse:
     return page("compare")

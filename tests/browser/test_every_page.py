@@ -21,6 +21,7 @@ PAGES = {
     "results": lambda site, job: f"/jobs/{job}/results",
     "player": lambda site, job: f"/jobs/{job}/player",
     "conflicts": lambda site, job: f"/jobs/{job}/conflicts",
+    "models": lambda site, job: "/models",
     "compare": lambda site, job: "/compare",
     "keys": lambda site, job: "/keys",
     "sites": lambda site, job: "/sites",

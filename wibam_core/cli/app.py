@@ -25,7 +25,7 @@ COMMANDS: Mapping[str, tuple[str, str]] = MappingProxyType(
         **{name: (name, name) for name in ("demo", "run", "serve", "upload", "sites", "tracks", "clip", "export")},
         "import": ("importing", "import_data"),
         "calibration": ("calibration", "calibration"),
-        **{name: (name, name) for name in ("simulate", "detect", "signals", "track")},
+        **{name: (name, name) for name in ("simulate", "detect", "signals", "track", "watch")},
         **{name: (name, "app") for name in ("jobs", "keys", "labels", "models", "weights")},
     }
 )
