@@ -36,6 +36,8 @@ from wibam_core.site import Site
 
 #: How long an export may send nothing: some formats are only written once all of a long recording was read.
 _EXPORT_TIMEOUT_S = 600.0
+#: A network is opened before it is kept, which on a busy machine takes long.
+_CHECK_TIMEOUT_S = 300.0
 
 
 class WibamClient:
@@ -130,7 +132,9 @@ class WibamClient:
         """Send a network (safetensors) for the service to keep, once it has checked it."""
         file_id = self._send(path, site_id, Purpose.MODEL, "", progress)
         body = {"site_id": site_id, "file_id": file_id, "name": name}
-        return ModelView.model_validate(self._connection.json("POST", "/v1/models", json=body))
+        return ModelView.model_validate(
+            self._connection.json("POST", "/v1/models", json=body, timeout=_CHECK_TIMEOUT_S)
+        )
 
     def change_model(self, model_id: str, *, name: str | None = None, state: str | None = None) -> ModelView:
         """Call a network something; make it "promoted", "retired" or a "candidate" again."""
