@@ -135,14 +135,13 @@ class SiteTracks:
         """Take the tracks of a run or job into its site's table, in place of those that it had there."""
         stage = job.stage(TRACKS.stage)
         assert stage is not None
-        source = self._results.file(job, TRACKS).path
         camera, first = _label(job.site.camera_ids), self._first_of(job)
         span: tuple[int, int] | None = None
         states = 0
         if are_dated(job.files):
-            span, states = self._write(
-                job, stage.hash, source, {"run_id": job.id, "first_run_id": first, "camera": camera}
-            )
+            source = self._results.file(job, TRACKS).path
+            whose = {"run_id": job.id, "first_run_id": first, "camera": camera}
+            span, states = self._write(job, stage.hash, source, whose)
         with self._database.writing(exclusive=True) as session:
             if session.get(JobRow, job.id) is None:
                 return
