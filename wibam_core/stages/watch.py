@@ -7,9 +7,11 @@ camera that was turned, a network that finds less, or is less sure, than where i
 
 from __future__ import annotations
 
+import ctypes
 import json
 from collections import Counter
 from collections.abc import Iterator, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, field
 from itertools import groupby, pairwise
 from pathlib import Path
@@ -158,6 +160,7 @@ class _Watch:
                 f"{(last_ns - first) / 6e10:.0f} min of footage, {len(self._notes.classes)} tracks",
                 tracks=float(len(self._notes.classes)),
             )
+            _give_back_memory()
             yield self._notes.chunks
 
     def _chunk(self, seen: Iterator[SeenFrame], noticed: Noticed) -> int:
@@ -261,6 +264,12 @@ class _Watch:
             usual_score=scores / usual_boxes if usual_boxes else None,
             usual_boxes_an_image=usual_boxes / max(sum(found.images for found in usual), 1) if usual else None,
         )
+
+
+def _give_back_memory() -> None:
+    """Let the system have what is free: pictures that come and go leave the C library's heap in ever more pieces."""
+    with suppress(OSError, AttributeError):  # not glibc
+        ctypes.CDLL(None).malloc_trim(0)
 
 
 def _states_of(tracks: Sequence[Track]) -> pa.Table:
