@@ -47,7 +47,8 @@ from wibam_core.synthetic.layout import make_layout
 from wibam_core.synthetic.lighting import develop, sample_lighting, sample_photometry
 from wibam_core.synthetic.render import Drawing, Renderer
 from wibam_core.synthetic.signals import SignalProgram
-from wibam_core.synthetic.traffic import Trajectory, simulate_traffic
+from wibam_core.synthetic.traffic import simulate_traffic
+from wibam_core.synthetic.trajectories import Trajectory
 from wibam_core.training.batches import Batches
 from wibam_core.training.dataset import ImageCache, site_views
 from wibam_core.training.device import Precision

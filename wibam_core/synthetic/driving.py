@@ -23,6 +23,9 @@ EMERGENCY_MPS2 = 7.0
 _LATERAL_MPS2 = 2.2
 _COMFORT_MPS2 = 2.2
 _JAM_GAP_M = 2.0
+#: Who looks away brakes once this much is needed to stop so far behind the one ahead.
+_LATE_BRAKING_MPS2 = 5.0
+_LATE_GAP_M = 1.2
 
 
 @dataclass(eq=False)
@@ -35,6 +38,9 @@ class Driver:
         margin_s: how much later than itself another vehicle must arrive for it to go first.
         history_s, history_v: states at every step since ``first_step``.
         waited_s: how long it has been standing. committed: it decided to pass an amber light.
+        looks_away: it sees late that the one ahead is slower. braking_late: it has just seen it.
+        runs_red: it passes a light that has just turned red.
+        impatient: it does not wait until the middle is clear.
     """
 
     vehicle_id: int
@@ -50,6 +56,10 @@ class Driver:
     history_v: list[float] = field(default_factory=list)
     waited_s: float = 0.0
     committed: bool = False
+    looks_away: bool = False
+    braking_late: bool = False
+    runs_red: bool = False
+    impatient: bool = False
 
     @property
     def front(self) -> float:
@@ -89,6 +99,19 @@ def follow(driver: Driver, limit_mps: float, gap_m: float, leader_mps: float) ->
     desired = _JAM_GAP_M + max(0.0, v * driver.headway_s + closing)
     interaction = top * (desired / max(gap_m, 0.05)) ** 2
     return float(max(-EMERGENCY_MPS2, free_acceleration(driver, limit_mps) - interaction))
+
+
+def notices(driver: Driver, gap_m: float, leader_mps: float) -> bool:
+    """Whether a driver reacts to the one ahead: who looks away does so once only hard braking is left."""
+    closing = driver.v - leader_mps
+    if not driver.looks_away or gap_m < _LATE_GAP_M:
+        return True
+    if closing < 0.3:
+        driver.braking_late = False
+        return False
+    needed = closing**2 / (2 * (gap_m - _LATE_GAP_M + 0.05))
+    driver.braking_late = driver.braking_late or needed > _LATE_BRAKING_MPS2
+    return driver.braking_late
 
 
 def stop_within(driver: Driver, gap_m: float) -> float:

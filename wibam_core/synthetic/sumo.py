@@ -28,15 +28,15 @@ from wibam_core.errors import MissingSumo, SumoFailed
 from wibam_core.road_users import RoadUserClass
 from wibam_core.synthetic.driving import STEP_S
 from wibam_core.synthetic.layout import Layout
-from wibam_core.synthetic.routes import Route, footprints_overlap
+from wibam_core.synthetic.routes import Route
 from wibam_core.synthetic.signals import SignalProgram
 from wibam_core.synthetic.sumo_network import Departure, Junction, demand, make_junction, network, to_bytes
-from wibam_core.synthetic.traffic import ARRIVALS_PER_S, SHARES, WARM_UP_S, Traffic, Trajectory, simulate_traffic
+from wibam_core.synthetic.traffic import ARRIVALS_PER_S, SHARES, WARM_UP_S, Traffic, simulate_traffic
+from wibam_core.synthetic.trajectories import Trajectory, without_overlaps
 from wibam_core.synthetic.vehicles import sample_vehicle
 
 Array = NDArray[np.float64]
 
-_CHECK_STEPS = 5
 _HEAVY_SHARES = {"straight": 0.52, "right": 1e-6, "left": 0.03}  # long vehicles avoid tight turns
 
 
@@ -135,29 +135,3 @@ def _trajectories(
         speed = states["speed_mps"][rows][kept]
         found.append(Trajectory(departure.vehicle_id, departure.model, route, int(step[kept][0]), s_m[kept], speed))
     return found
-
-
-def without_overlaps(trajectories: Sequence[Trajectory]) -> list[Trajectory]:
-    """The trajectories left when the later one of any two whose footprints overlap is left out."""
-    present: dict[int, list[tuple[int, Array]]] = {}
-    for number, t in enumerate(trajectories):
-        if t.route is None:
-            continue
-        steps = np.arange(-t.first_step % _CHECK_STEPS, len(t.s_m), _CHECK_STEPS)
-        poses = t.route.poses(t.s_m[steps], t.model.length_m)
-        length, width, height = t.model.size_m
-        for step, (x, y, yaw) in zip((steps + t.first_step).tolist(), poses.tolist(), strict=True):
-            box = np.array([x, y, height / 2, length, width, height, yaw])
-            present.setdefault(step, []).append((number, box))
-    dropped: set[int] = set()
-    for _, here in sorted(present.items()):
-        left = [(number, box) for number, box in here if number not in dropped]
-        if len(left) < 2:
-            continue
-        boxes = np.array([box for _, box in left])
-        i, j = np.triu_indices(len(left), 1)
-        for k in np.flatnonzero(footprints_overlap(boxes[i], boxes[j])).tolist():
-            earlier, later = left[i[k]][0], left[j[k]][0]
-            if earlier not in dropped:
-                dropped.add(later)
-    return [t for number, t in enumerate(trajectories) if number not in dropped]

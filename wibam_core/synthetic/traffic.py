@@ -20,14 +20,17 @@ from wibam_core.synthetic.driving import (
     follow,
     free_acceleration,
     move,
+    notices,
     speed_limits,
     stop_within,
     time_to_cover,
 )
 from wibam_core.synthetic.layout import PARKING_M, Layout
+from wibam_core.synthetic.risks import RED_RUN_S, Daring, Risks
 from wibam_core.synthetic.routes import Route, make_routes
 from wibam_core.synthetic.signals import SignalProgram
-from wibam_core.synthetic.vehicles import VehicleModel, sample_vehicle
+from wibam_core.synthetic.trajectories import Trajectory, without_overlaps
+from wibam_core.synthetic.vehicles import sample_vehicle
 
 Array = NDArray[np.float64]
 
@@ -39,46 +42,6 @@ ARRIVALS_PER_S = 0.09
 SHARES = {"straight": 0.52, "right": 0.20, "left": 0.28}
 #: Of two whose paths cross, the one of the higher rank goes first.
 _RANKS = {"straight": 2, "right": 1, "left": 0}
-
-
-@dataclass(frozen=True, eq=False)
-class Trajectory:
-    """One vehicle's way: states at every `STEP_S` from ``first_step`` on.
-
-    Attributes:
-        vehicle_id: unique within the traffic.
-        model: its looks and size.
-        route: None for a parked vehicle, whose pose is ``parked`` (x, y, yaw).
-        s_m, speed_mps: (T,) middle of the vehicle along the route, and speed.
-    """
-
-    vehicle_id: int
-    model: VehicleModel
-    route: Route | None
-    first_step: int
-    s_m: Array
-    speed_mps: Array
-    parked: tuple[float, float, float] = (0.0, 0.0, 0.0)
-
-    def box(self, time_s: float) -> Array | None:
-        """(7,) box at a time, or None while it is not there. Positions between steps are cubic (Hermite)."""
-        length, width, height = self.model.size_m
-        if self.route is None:
-            x, y, yaw = self.parked
-        else:
-            position = time_s / STEP_S - self.first_step
-            if position < 0 or position > len(self.s_m) - 1:
-                return None
-            k = min(int(position), len(self.s_m) - 2)
-            s = _hermite(self.s_m[k : k + 2], self.speed_mps[k : k + 2], position - k)
-            x, y, yaw = self.route.poses(s, length)
-        return np.array([x, y, height / 2, length, width, height, yaw])
-
-
-def _hermite(s: Array, v: Array, u: float) -> float:
-    h00, h10 = (1 + 2 * u) * (1 - u) ** 2, u * (1 - u) ** 2
-    h01, h11 = u * u * (3 - 2 * u), u * u * (u - 1)
-    return float(h00 * s[0] + h10 * STEP_S * v[0] + h01 * s[1] + h11 * STEP_S * v[1])
 
 
 @dataclass(frozen=True, eq=False)
@@ -109,6 +72,7 @@ def simulate_traffic(
     density: float = 1.0,
     parked: int = 2,
     speed_mps: float = 12.5,
+    risks: Risks = Risks(),
 ) -> Traffic:
     """Traffic on an intersection from time 0 to ``duration_s``, after a warm-up.
 
@@ -120,9 +84,13 @@ def simulate_traffic(
         density: 1 is about 6 vehicles a minute and incoming lane.
         parked: number of vehicles that stand beside the road all the time.
         speed_mps: usual speed between intersections.
+        risks: that drivers take. Where they crash, the later of the two is left out.
     """
-    simulation = _Simulation(layout, np.random.default_rng([seed, 41]), program, density, speed_mps)
+    daring = Daring(risks, np.random.default_rng([seed, 47]))
+    simulation = _Simulation(layout, np.random.default_rng([seed, 41]), program, density, speed_mps, daring)
     finished = simulation.run(duration_s)
+    if risks != Risks():
+        finished = without_overlaps(finished)
     finished += _park(
         layout, np.random.default_rng([seed, 43]), parked, max((t.vehicle_id for t in finished), default=0) + 1
     )
@@ -131,9 +99,15 @@ def simulate_traffic(
 
 class _Simulation:
     def __init__(
-        self, layout: Layout, rng: np.random.Generator, program: SignalProgram, density: float, speed_mps: float
+        self,
+        layout: Layout,
+        rng: np.random.Generator,
+        program: SignalProgram,
+        density: float,
+        speed_mps: float,
+        daring: Daring,
     ) -> None:
-        self._rng, self._program, self._density = rng, program, density
+        self._rng, self._program, self._density, self._daring = rng, program, density, daring
         self._routes = make_routes(layout)
         self._zones = find_zones(self._routes)
         self._limits = [speed_limits(route, speed_mps) for route in self._routes]
@@ -212,6 +186,7 @@ class _Simulation:
             first_step=0,
         )
         self._next_id += 1
+        self._daring.touch(driver)
         return driver
 
     # --- driving ----------------------------------------------------------------------------
@@ -231,7 +206,8 @@ class _Simulation:
                 continue
             leader = self._leader_gap(driver, other, zone)
             if leader is not None:
-                best = min(best, follow(driver, limit, leader, other.v))
+                if notices(driver, leader, other.v):
+                    best = min(best, follow(driver, limit, leader, other.v))
             elif zone.kind != "follow":
                 stop = self._stop_for_zone(driver, other, zone, states)
                 if stop is not None:
@@ -246,12 +222,15 @@ class _Simulation:
             return None
         if state == "green":
             driver.committed = False
-            clear = self._phases_inside <= {route.incoming.phase}  # others may still be leaving the middle
+            clear = driver.impatient or self._phases_inside <= {
+                route.incoming.phase
+            }  # others may still be leaving the middle
             return None if clear or gap < driver.v**2 / (2 * 4.0) else gap
-        if state == "amber" and (driver.committed or gap < driver.v**2 / (2 * 3.0)):
+        late = driver.v * RED_RUN_S if driver.runs_red else 0.0
+        if state == "amber" and (driver.committed or gap < max(driver.v**2 / (2 * 3.0), late)):
             driver.committed = True
             return None
-        return None if driver.committed and gap < driver.v**2 / (2 * EMERGENCY_MPS2) else gap
+        return None if driver.committed and gap < max(driver.v**2 / (2 * EMERGENCY_MPS2), late) else gap
 
     def _leader_gap(self, me: Driver, other: Driver, zone: Zone) -> float | None:
         """Gap to another vehicle that is ahead on the same lane."""

@@ -24,7 +24,7 @@ from wibam_core.synthetic.options import SimulationOptions
 from wibam_core.synthetic.recorder import record_site
 from wibam_core.synthetic.routes import Route, footprints_overlap
 from wibam_core.synthetic.signals import SignalProgram
-from wibam_core.synthetic.sumo import draw_departures, simulate_sumo_traffic, without_overlaps
+from wibam_core.synthetic.sumo import draw_departures, simulate_sumo_traffic
 from wibam_core.synthetic.sumo_network import (
     Junction,
     demand,
@@ -34,7 +34,8 @@ from wibam_core.synthetic.sumo_network import (
     outgoing_edge,
     to_bytes,
 )
-from wibam_core.synthetic.traffic import Traffic, Trajectory
+from wibam_core.synthetic.traffic import Traffic
+from wibam_core.synthetic.trajectories import Trajectory, without_overlaps
 from wibam_core.synthetic.vehicles import sample_vehicle
 
 SEEDS = (1, 2, 5)  # four arms with two lanes that merge, three arms, and four arms
