@@ -38,30 +38,40 @@ class TrackConfig(StageConfig):
         description="a track seen at a smaller share of the instants that it lasted is dropped: a chain of false boxes",
     )
     max_coast_s: float = Field(1.0, gt=0, le=60, description="a track unseen for longer ends")
+    max_coast_standing_s: float = Field(
+        8.0,
+        gt=0,
+        le=600,
+        description="one of somebody who stands goes on for so long unseen: others hide those who wait at a light",
+    )
 
 
 class SafetyConfig(StageConfig):
     ttc_s: float = Field(3.0, gt=0, le=30, description="a smaller time to collision is a conflict")
-    pet_s: float = Field(2.0, gt=0, le=30, description="a smaller post-encroachment time is a conflict")
+    pet_s: float = Field(
+        1.5,
+        gt=0,
+        le=30,
+        description="a smaller post-encroachment time is a conflict; at roundabouts 2 s are nothing unusual",
+    )
     min_speed_mps: float = Field(1.0, ge=0, le=100, description="at least one of the two must move this fast")
     min_deceleration_mps2: float = Field(
         3.0, ge=0, le=50, description="a collision that softer braking would avoid is no conflict"
     )
     min_instants: int = Field(
-        3,
+        2,
         ge=1,
         le=1000,
-        description="fewest instants in a row with a time to collision below ttc_s that are a conflict: one may err",
+        description="fewest instants in a row with a time to collision below ttc_s that are a conflict",
     )
     min_duration_s: float = Field(
         0.2, ge=0, le=60, description="shortest time for which the time to collision stays below ttc_s in a conflict"
     )
     min_probability: float = Field(
-        0.8,
+        0.5,
         ge=0,
         le=1,
-        description="least probability, by the states' standard deviations, that the time to collision in a conflict is"
-        " below ttc_s: a pass close by is not taken for a crash course",
+        description="conflicts that are less probable, by how much tracks err, are not told",
     )
     min_track_s: float = Field(
         1.0,
@@ -82,6 +92,13 @@ class SafetyConfig(StageConfig):
         le=1,
         description="the same of a vehicle and somebody on foot or on two wheels, by the share of the smaller footprint"
         " that the other covers",
+    )
+    max_place_sd_m: float = Field(
+        0.3,
+        gt=0,
+        le=10,
+        description="of road users whose places are less certain (standard deviation), and where most are, nothing is"
+        " said about conflicts",
     )
     same_direction_deg: float = Field(
         30.0,

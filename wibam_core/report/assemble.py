@@ -110,6 +110,7 @@ def assemble(
         conflicts=tuple(conflicts.conflicts),
         conflict_thresholds=conflicts.thresholds,
         typical_images=typical_images(store, rig),
+        exposure=conflicts.exposure,
         clusters=tuple(_clustered(instant, rig) for instant in busiest(annotations, _CLUSTER_INSTANTS)),
         boxes=tuple(_boxes(choice, predictions, timeline) for choice in choices),
         examples=tuple(_example(choice, store, rig, predictions, timeline) for choice in choices),

@@ -121,13 +121,22 @@ def tracks_figure(
 
 
 def conflicts_figure(
-    rig: CameraRig, ground: Ground, tracks: Sequence[Track], conflicts: Sequence[ConflictMark]
+    rig: CameraRig,
+    ground: Ground,
+    tracks: Sequence[Track],
+    conflicts: Sequence[ConflictMark],
+    area: Sequence[Sequence[tuple[float, float]]] = (),
 ) -> Figure:
-    """Where the conflicts happened, with the paths of those involved; numbers are those of the table."""
+    """Where the conflicts happened, with the paths of those involved; numbers are those of the table.
+
+    ``area`` are rings of x, y in m around the area where conflicts are told, and around its holes.
+    """
     figure = new_figure(6.4, 6.6, fixed_aspect=True)
     axes = figure.subplots()
     _prepare(axes, ground, "")
     _draw_rig(axes, rig, ground.extent, fields_of_view=False)
+    for ring in area:
+        axes.add_patch(Polygon(ring, fill=False, edgecolor=INK, linestyle=":", linewidth=1.0, zorder=1.4))
     involved = {track_id: mark.kind for mark in conflicts for track_id in mark.track_ids}
     others = [track.boxes[:, XY] for track in tracks if track.track_id not in involved and len(track) > 1]
     # on a light casing, so that the grey shows on the orthophoto's grey road, too

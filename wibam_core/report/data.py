@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from wibam_core.documents.calibration import Overlap
-from wibam_core.documents.conflicts import ConflictRow
+from wibam_core.documents.conflicts import ConflictRow, Exposure
 from wibam_core.documents.metrics import Metrics
 from wibam_core.documents.refinement import Refinement
 from wibam_core.documents.rounds import Rounds
@@ -194,6 +194,7 @@ class ReportData:
     tracks: tuple[Track, ...]
     conflicts: tuple[ConflictRow, ...]
     conflict_thresholds: Mapping[str, float]
+    exposure: Exposure | None
     typical_images: Mapping[str, Image]
     clusters: tuple[ClusteredInstant, ...]
     boxes: tuple[BoxesInstant, ...]

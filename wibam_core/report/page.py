@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
-from wibam_core.documents.conflicts import ConflictRow
+from wibam_core.documents.conflicts import ConflictRow, Exposure
 from wibam_core.documents.metrics import Metrics
 from wibam_core.documents.statistics import SubsetStatistics
 from wibam_core.documents.synchronisation import TrafficPair
@@ -248,14 +248,27 @@ def _conflicts_text(data: ReportData) -> str:
     )
     return (
         f"{found} with a time to collision below {limits['ttc_s']:g} s or a post-encroachment time below "
-        f"{limits['pet_s']:g} s."
+        f"{limits['pet_s']:g} s.{_exposure_text(data.exposure)}"
+    )
+
+
+def _exposure_text(exposure: Exposure | None) -> str:
+    if exposure is None:
+        return ""
+    elsewhere = exposure.conflicts_elsewhere
+    return (
+        f" They are told of {exposure.area_m2:.0f} m², where tracks are good enough to say so, and where road users "
+        f"spent {60 * exposure.road_user_hours:.1f} minutes and went {exposure.road_user_km:.1f} km while "
+        f"{60 * exposure.hours:.1f} minutes were recorded."
+        + (f" {elsewhere} more that look like conflicts outside are not told." if elsewhere else "")
     )
 
 
 def _conflicts_caption(data: ReportData) -> str:
     involved = {track_id for row in data.conflicts[:MAX_CONFLICTS] for track_id in row.track_ids}
     others = "; all other tracks are grey" if any(track.track_id not in involved for track in data.tracks) else ""
-    return f"Where the conflicts of the table happened, with the paths of those involved{others}."
+    area = "; dotted: the area of which conflicts are told" if data.exposure is not None else ""
+    return f"Where the conflicts of the table happened, with the paths of those involved{others}{area}."
 
 
 def conflict_cells(place: int, row: ConflictRow) -> tuple[str, ...]:

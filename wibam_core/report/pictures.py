@@ -83,7 +83,9 @@ def draw_pictures(data: ReportData) -> Pictures:
         if data.tracks
         else None,
         conflicts=_raster(
-            bev.conflicts_figure(data.rig, ground, data.tracks, marks),
+            bev.conflicts_figure(
+                data.rig, ground, data.tracks, marks, data.exposure.outlines_m if data.exposure else ()
+            ),
             f"Plan view of {len(marks)} conflicts and the paths of those involved.",
         )
         if marks

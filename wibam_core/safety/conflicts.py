@@ -1,15 +1,17 @@
 """Conflicts between road users: who, when, how close, and how sure that is.
 
-Noise makes conflicts where there are none, so that a pair counts only when
-- at least one of the two moves,
-- the time to collision stays below the threshold over several instants in a row,
-- most draws from the states' own standard deviations agree,
-- the same holds if both keep turning as they do: a vehicle in a turn does not hit what stands beside its lane,
-- braking softly would not do: a queue that rolls up to a red light has short times to collision too.
+Two road users are in conflict where they are on a crash course for a moment, or where one comes to a place shortly
+after the other has left it. A crash course counts
+- if at least one of the two moves,
+- if the time to collision stays below the threshold over several instants in a row,
+- if the same holds if both keep turning as they do: a vehicle in a turn does not hit what stands beside its lane,
+- unless braking softly would do: a queue that rolls up to a red light has short times to collision too.
 Instants at which the footprints already overlap are left out: boxes may be a little too large, and a true crash shows
-very short times to collision just before. Pairs that overlap deeply, and tracks that lasted too short a time to know
-their speed, are left out as a whole: they are one road user tracked twice, or none. So are two who walk: they pass and
-accompany each other closer than any threshold.
+very short times to collision just before.
+
+Tracks err, and so do these measures: how probable it is that they held for what really happened, `evidence` says. Pairs
+that overlap deeply, and tracks that lasted too short a time to know their speed, are left out as a whole: they are one
+road user tracked twice, or none. So are two who walk: they pass and accompany each other closer than any threshold.
 """
 
 from __future__ import annotations
@@ -30,16 +32,30 @@ from wibam_core.progress import Progress, silent
 from wibam_core.road_users import RoadUserClass
 from wibam_core.safety.drac import deceleration_to_avoid
 from wibam_core.safety.encounter import Encounter
+from wibam_core.safety.evidence import (
+    LEAST_POSSIBLE,
+    CourseEvidence,
+    critical_instants,
+    encroachment_draws,
+    in_runs,
+    needed_instants,
+    of_course,
+    probability,
+)
 from wibam_core.safety.measures import measured
-from wibam_core.safety.pairs import PairInstants, pair_instants
+from wibam_core.safety.pairs import PairInstants, approaching, crossing, together
 from wibam_core.safety.pet import Encroachment, post_encroachment
-from wibam_core.safety.ttc import time_to_collision
-from wibam_core.safety.turning import TurningStates, collide_turning
-from wibam_core.safety.uncertainty import Interval, pet_interval, ttc_draws
+from wibam_core.safety.track_errors import TrackErrors, place_sd_m
+from wibam_core.safety.uncertainty import Interval
 from wibam_core.scene import Track
 from wibam_core.traits import Walking
 
 Array = NDArray[np.float64]
+
+#: A crash course is looked at with so much time before and after.
+_AROUND_NS = 800_000_000
+#: Encroachments are looked for up to so much above the threshold: some of their versions may lie below.
+_PET_MARGIN_S = 0.6
 
 
 class ConflictType(StrEnum):
@@ -60,8 +76,7 @@ class Conflict:
             second arrived at the place of the encroachment.
         x_m, y_m: the middle between the two at that time.
         ttc_s: the smallest time to collision, inf if there was none. ttc: its 90 % interval.
-        probability: share of draws from the states' standard deviations with a time to collision below the
-            threshold at ``time_ns``; NaN where the conflict is one of encroachment alone.
+        probability: that the two really were in conflict, by either measure. ttc_probability, pet_probability: by each.
         pet_s: post-encroachment time, inf where they shared no place. pet: its 90 % interval.
         deceleration_mps2: braking that would just have avoided the collision at ``time_ns``.
         duration_s: how long the time to collision stayed below its threshold.
@@ -79,6 +94,8 @@ class Conflict:
     ttc_s: float
     ttc: Interval
     probability: float
+    ttc_probability: float
+    pet_probability: float
     pet_s: float
     pet: Interval
     deceleration_mps2: float
@@ -87,69 +104,141 @@ class Conflict:
     measures: Mapping[str, float]
 
 
+@dataclass(frozen=True)
+class _Course:
+    """A crash course: the index into each track where it came closest, how long it lasted, and its evidence."""
+
+    i: int
+    j: int
+    ttc_s: float
+    duration_s: float
+    evidence: CourseEvidence
+
+
+@dataclass(frozen=True, eq=False)
+class _Passing:
+    """An encroachment, and the times (D,) of its versions."""
+
+    found: Encroachment
+    draws_s: Array
+
+
 def find_conflicts(
-    tracks: Sequence[Track], config: SafetyConfig, *, seed: int = 0, progress: Progress = silent
+    tracks: Sequence[Track],
+    config: SafetyConfig,
+    *,
+    errors: TrackErrors = TrackErrors(),
+    seed: int = 0,
+    progress: Progress = silent,
 ) -> list[Conflict]:
-    """All conflicts, at most one for a pair of tracks, sorted by time.
+    """All conflicts that are at least as probable as ``config.min_probability``, at most one for a pair of tracks,
+    sorted by time.
 
     Args:
         tracks: on one clock. Pairs are compared at the instants that both have.
         config: thresholds.
-        seed: of the draws that give the intervals.
+        errors: how the tracks err.
+        seed: of the versions that are drawn of each pair.
         progress: told after every few pairs.
     """
-    tracks = [track for track in tracks if track.times_ns[-1] - track.times_ns[0] >= config.min_track_s * 1e9]
-    by_id = {track.track_id: track for track in tracks}
-    rng = np.random.default_rng(seed)
+    tracks = sorted(
+        (track for track in tracks if track.times_ns[-1] - track.times_ns[0] >= config.min_track_s * 1e9),
+        key=lambda track: track.track_id,
+    )
+    courses = approaching(tracks, config.ttc_s, config.min_deceleration_mps2, progress)
+    same_direction = math.radians(config.same_direction_deg)
+    passing = crossing(tracks, config.pet_s + _PET_MARGIN_S, same_direction, config.min_speed_mps)
+    pairs = sorted(courses.keys() | passing)
     found = []
-    pairs = pair_instants(tracks, max(config.ttc_s, config.pet_s))
-    for done, (ids, instants) in enumerate(pairs.items()):
-        conflict = _conflict(by_id[ids[0]], by_id[ids[1]], instants, config, rng)
-        if conflict is not None:
+    for done, pair in enumerate(pairs):
+        a, b = tracks[pair[0]], tracks[pair[1]]
+        rng = np.random.default_rng([seed, a.track_id, b.track_id])  # a pair's draws do not depend on other pairs
+        conflict = _conflict(a, b, courses.get(pair), pair in passing, config, errors, rng)
+        if conflict is not None and conflict.probability >= config.min_probability:
             found.append(conflict)
         if done % 50 == 0:
-            progress(done / len(pairs), "Looking for conflicts")
+            progress(0.3 + 0.7 * done / len(pairs), "Looking for conflicts")
     progress(1.0, f"{len(found)} conflicts", conflicts=len(found), pairs=len(pairs))
     return sorted(found, key=lambda c: (c.time_ns, c.track_ids))
 
 
 def _conflict(
-    a: Track, b: Track, instants: PairInstants, config: SafetyConfig, rng: np.random.Generator
+    a: Track,
+    b: Track,
+    approach_ns: NDArray[np.int64] | None,
+    may_cross: bool,
+    config: SafetyConfig,
+    errors: TrackErrors,
+    rng: np.random.Generator,
 ) -> Conflict | None:
-    if _both_walk(a, b) or _overlap_deeply(a, b, instants, config):
+    if _both_walk(a, b):
         return None
-    encroachment = _encroachment(a, b, config)
-    run = _closest_run(a, b, instants, config)
-    if run is None:
-        if encroachment is None:
-            return None
-        return _by_encroachment(a, b, encroachment, config)
-    i, j, ttc, duration_s = run
-    draws = ttc_draws(a, i, b, j, rng)
-    probability = float(np.mean(draws < config.ttc_s))
-    if probability < config.min_probability:
-        return _by_encroachment(a, b, encroachment, config) if encroachment is not None else None
+    begin, end = max(a.times_ns[0], b.times_ns[0]), min(a.times_ns[-1], b.times_ns[-1])
+    if _overlap_deeply(a, b, together(a, b, int(begin), int(end)), config):
+        return None
+    course = None if approach_ns is None else _course(a, b, approach_ns, config, errors, rng)
+    passing = _passing(a, b, config, errors, rng) if may_cross else None
+    if course is None and passing is None:
+        return None
+    possible = np.ones(1, bool) if course is None else course.evidence.possible
+    by_course = np.zeros(1, bool) if course is None else course.evidence.in_conflict
+    by_passing = np.zeros(1, bool) if passing is None else (passing.draws_s > 0) & (passing.draws_s < config.pet_s)
+    ttc_probability = probability(possible, by_course)
+    crossed = passing is not None and bool((passing.draws_s > 0).any())
+    pet_probability = float(by_passing[passing.draws_s > 0].mean()) if passing is not None and crossed else 0.0
+    if possible.mean() < LEAST_POSSIBLE:
+        pet_probability = 0.0
+    return _described(a, b, course, passing, ttc_probability, pet_probability, config)
+
+
+def _described(
+    a: Track,
+    b: Track,
+    course: _Course | None,
+    passing: _Passing | None,
+    ttc_probability: float,
+    pet_probability: float,
+    config: SafetyConfig,
+) -> Conflict | None:
+    """The conflict, None where one of the two is too uncertain then: tracks of nobody cross those of all others."""
+    if course is not None and (passing is None or ttc_probability >= config.min_probability):
+        i, j, time_ns = course.i, course.j, int(a.times_ns[course.i])
+        ttc_s, duration_s = course.ttc_s, course.duration_s
+        ttc = Interval.of(course.evidence.ttc_s[course.evidence.possible])
+    else:
+        assert passing is not None
+        leaves, arrives = passing.found.leaves_ns, passing.found.arrives_ns
+        at_a, at_b = (leaves, arrives) if passing.found.first_index == 0 else (arrives, leaves)
+        i, j, time_ns = _nearest(a, at_a), _nearest(b, at_b), arrives
+        ttc_s, ttc, duration_s = np.inf, Interval(np.inf, np.inf), 0.0
+    if max(place_sd_m(a)[i], place_sd_m(b)[j]) > config.max_place_sd_m:
+        return None
     boxes = np.stack([a.boxes[i], b.boxes[j]])
     velocities = np.stack([a.velocities_mps[i], b.velocities_mps[j]])
     kind, difference = classify(boxes, math.radians(config.same_direction_deg))
     place = boxes[:, XY].mean(axis=0)
+    if duration_s == 0.0 and passing is not None:
+        place = np.array([passing.found.x_m, passing.found.y_m])
     return Conflict(
         track_ids=(a.track_id, b.track_id),
         classes=(a.vehicle_class, b.vehicle_class),
         kind=kind,
-        time_ns=int(a.times_ns[i]),
+        time_ns=time_ns,
         x_m=float(place[0]),
         y_m=float(place[1]),
         speeds_mps=_speeds(velocities),
-        ttc_s=ttc,
-        ttc=Interval.of(draws),
-        probability=probability,
-        pet_s=np.inf if encroachment is None else encroachment.pet_s,
-        pet=Interval(np.inf, np.inf) if encroachment is None else pet_interval(a, b, encroachment),
-        deceleration_mps2=float(deceleration_to_avoid(ttc, velocities[0], velocities[1])),
+        ttc_s=ttc_s,
+        ttc=ttc,
+        # both measures see one event: that either holds is about as probable as the likelier of the two
+        probability=max(ttc_probability, pet_probability),
+        ttc_probability=ttc_probability,
+        pet_probability=pet_probability,
+        pet_s=np.inf if passing is None else passing.found.pet_s,
+        pet=Interval(np.inf, np.inf) if passing is None else Interval.of(passing.draws_s),
+        deceleration_mps2=float(deceleration_to_avoid(ttc_s, velocities[0], velocities[1])),
         duration_s=duration_s,
         heading_difference_rad=difference,
-        measures=measured(Encounter(boxes, velocities, ttc)),
+        measures=measured(Encounter(boxes, velocities, ttc_s)),
     )
 
 
@@ -169,90 +258,75 @@ def _overlap_deeply(a: Track, b: Track, instants: PairInstants, config: SafetyCo
     return bool((common > config.max_overlap_share * areas.min(axis=0)).any())
 
 
-def _closest_run(
-    a: Track, b: Track, instants: PairInstants, config: SafetyConfig
-) -> tuple[int, int, float, float] | None:
-    """Index into a, index into b, time to collision and duration of the run of instants that comes closest."""
-    i, j = instants.index_a, instants.index_b
-    ttc = time_to_collision(a.boxes[i], a.velocities_mps[i], b.boxes[j], b.velocities_mps[j])
-    speed = np.maximum(np.hypot(*a.velocities_mps[i].T), np.hypot(*b.velocities_mps[j].T))
-    critical = (ttc > 0) & (ttc < config.ttc_s) & (speed >= config.min_speed_mps)
-    braking = deceleration_to_avoid(ttc, a.velocities_mps[i], b.velocities_mps[j])
-    critical &= braking >= config.min_deceleration_mps2
-    at = np.flatnonzero(critical)
-    if len(at) < config.min_instants:
+def _course(
+    a: Track,
+    b: Track,
+    approach_ns: NDArray[np.int64],
+    config: SafetyConfig,
+    errors: TrackErrors,
+    rng: np.random.Generator,
+) -> _Course | None:
+    """The crash course of a pair, if any version of the two has one."""
+    instants = together(a, b, int(approach_ns[0]) - _AROUND_NS, int(approach_ns[-1]) + _AROUND_NS)
+    least = needed_instants(a, config)
+    if len(instants.index_a) < least:
         return None
-    critical[at] = collide_turning(_states(a, i[at]), _states(b, j[at]), config.ttc_s)
-    best = None
-    for start, end in _runs(critical, instants.consecutive):
-        duration_s = float(a.times_ns[i[end - 1]] - a.times_ns[i[start]]) * 1e-9
-        if end - start < config.min_instants or duration_s < config.min_duration_s:
-            continue
-        closest = start + int(np.argmin(ttc[start:end]))
-        if best is None or ttc[closest] < best[2]:
-            best = (int(i[closest]), int(j[closest]), float(ttc[closest]), duration_s)
-    return best
+    instants = _within(instants, _near_in_time(a.times_ns[instants.index_a], approach_ns))
+    evidence = of_course(a, b, instants, config, errors, rng)
+    if not evidence.in_conflict.any():
+        return None
+    i, j = instants.index_a, instants.index_b
+    critical, ttc = critical_instants(*_states(a, i), *_states(b, j), config)
+    runs = in_runs(critical[None], instants.consecutive, least)[0]
+    if runs.any():
+        closest = int(np.argmin(np.where(runs, ttc, np.inf)))
+        first = last = closest
+        while first > 0 and runs[first - 1] and instants.consecutive[first]:
+            first -= 1
+        while last + 1 < len(runs) and runs[last + 1] and instants.consecutive[last + 1]:
+            last += 1
+        ttc_s, duration_s = float(ttc[closest]), float(a.times_ns[i[last]] - a.times_ns[i[first]]) * 1e-9
+    else:  # the track itself just misses: what most versions say
+        ahead = np.where(ttc > 0, ttc, np.inf)
+        gaps = np.hypot(*(a.boxes[i][:, XY] - b.boxes[j][:, XY]).T)
+        closest = int(np.argmin(ahead)) if np.isfinite(ahead).any() else int(np.argmin(gaps))
+        ttc_s = float(np.median(evidence.ttc_s[evidence.in_conflict]))
+        duration_s = (least - 1) * float(np.median(np.diff(a.times_ns))) * 1e-9
+    return _Course(int(i[closest]), int(j[closest]), ttc_s, duration_s, evidence)
 
 
-def _states(track: Track, rows: NDArray[np.int64]) -> TurningStates:
-    return TurningStates(track.boxes[rows], track.velocities_mps[rows], track.yaw_rates_radps[rows])
+def _near_in_time(times_ns: NDArray[np.int64], approach_ns: NDArray[np.int64]) -> NDArray[np.bool_]:
+    after = np.clip(np.searchsorted(approach_ns, times_ns), 1, max(len(approach_ns) - 1, 1))
+    before = np.abs(times_ns - approach_ns[after - 1])
+    then = np.abs(times_ns - approach_ns[np.minimum(after, len(approach_ns) - 1)])
+    return np.asarray(np.minimum(before, then) <= _AROUND_NS)
 
 
-def _runs(critical: NDArray[np.bool_], consecutive: NDArray[np.bool_]) -> list[tuple[int, int]]:
-    """Half-open ranges in which all are critical and each instant directly follows the one before."""
-    runs: list[tuple[int, int]] = []
-    start = None
-    for k, is_critical in enumerate(critical):
-        if start is not None and (not is_critical or not consecutive[k]):
-            runs.append((start, k))
-            start = None
-        if is_critical and start is None:
-            start = k
-    if start is not None:
-        runs.append((start, len(critical)))
-    return runs
+def _within(instants: PairInstants, keep: NDArray[np.bool_]) -> PairInstants:
+    follows = np.r_[False, keep[:-1]] & instants.consecutive
+    return PairInstants(instants.index_a[keep], instants.index_b[keep], follows[keep])
 
 
-def _encroachment(a: Track, b: Track, config: SafetyConfig) -> Encroachment | None:
-    """The encroachment of paths that cross, if short enough and neither crept; overlap at one time measures none."""
+def _states(track: Track, rows: NDArray[np.int64]) -> tuple[Array, Array, Array]:
+    return track.boxes[rows], track.velocities_mps[rows], track.yaw_rates_radps[rows]
+
+
+def _passing(
+    a: Track, b: Track, config: SafetyConfig, errors: TrackErrors, rng: np.random.Generator
+) -> _Passing | None:
+    """The encroachment of paths that cross, if it may be short enough and neither crept."""
     found = post_encroachment(
-        a, b, max_pet_s=config.pet_s, min_heading_difference_rad=math.radians(config.same_direction_deg)
+        a,
+        b,
+        max_pet_s=config.pet_s + _PET_MARGIN_S,
+        min_heading_difference_rad=math.radians(config.same_direction_deg),
     )
-    if found is None or found.pet_s == 0 or found.pet_s >= config.pet_s:
+    if found is None:
         return None
     first, second = (a, b) if found.first_index == 0 else (b, a)
-    return (
-        found
-        if min(_speed_at(first, found.leaves_ns), _speed_at(second, found.arrives_ns)) >= (config.min_speed_mps)
-        else None
-    )
-
-
-def _by_encroachment(a: Track, b: Track, encroachment: Encroachment, config: SafetyConfig) -> Conflict:
-    times = (encroachment.leaves_ns, encroachment.arrives_ns)
-    at_a, at_b = times if encroachment.first_index == 0 else times[::-1]
-    i, j = _nearest(a, at_a), _nearest(b, at_b)
-    boxes = np.stack([a.boxes[i], b.boxes[j]])
-    velocities = np.stack([a.velocities_mps[i], b.velocities_mps[j]])
-    kind, difference = classify(boxes, math.radians(config.same_direction_deg))
-    return Conflict(
-        track_ids=(a.track_id, b.track_id),
-        classes=(a.vehicle_class, b.vehicle_class),
-        kind=kind,
-        time_ns=encroachment.arrives_ns,
-        x_m=encroachment.x_m,
-        y_m=encroachment.y_m,
-        speeds_mps=_speeds(velocities),
-        ttc_s=np.inf,
-        ttc=Interval(np.inf, np.inf),
-        probability=np.nan,
-        pet_s=encroachment.pet_s,
-        pet=pet_interval(a, b, encroachment),
-        deceleration_mps2=0.0,
-        duration_s=0.0,
-        heading_difference_rad=difference,
-        measures=measured(Encounter(boxes, velocities, np.inf)),
-    )
+    if min(_speed_at(first, found.leaves_ns), _speed_at(second, found.arrives_ns)) < config.min_speed_mps:
+        return None
+    return _Passing(found, encroachment_draws(a, b, found, config, errors, rng))
 
 
 def classify(boxes: Array, same_direction_rad: float) -> tuple[ConflictType, float]:

@@ -4,18 +4,42 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from dataclasses import asdict
+
+import numpy as np
 
 from wibam_core.config import SafetyConfig
 from wibam_core.documents.base import finite
-from wibam_core.documents.conflicts import ConflictRow, Conflicts
+from wibam_core.documents.conflicts import ConflictRow, Conflicts, Exposure
+from wibam_core.safety.area import AnalysableArea
 from wibam_core.safety.conflicts import Conflict
+from wibam_core.safety.track_errors import TrackErrors
 from wibam_core.safety.uncertainty import Interval
 
 
-def conflicts_document(conflicts: Sequence[Conflict], config: SafetyConfig) -> Conflicts:
-    """All conflicts, numbered in their order, and the thresholds that made them."""
+def conflicts_document(
+    conflicts: Sequence[Conflict],
+    config: SafetyConfig,
+    area: AnalysableArea | None = None,
+    errors: TrackErrors | None = None,
+) -> Conflicts:
+    """The conflicts within the area, all without one, numbered in their order, with the thresholds that made them."""
+    if area is None:
+        return Conflicts(thresholds=config.model_dump(), conflicts=[_row(n, c) for n, c in enumerate(conflicts)])
+    held = area.holds(np.array([[c.x_m, c.y_m] for c in conflicts]).reshape(-1, 2)).tolist()
+    inside = [conflict for conflict, here in zip(conflicts, held, strict=True) if here]
     return Conflicts(
-        thresholds=config.model_dump(), conflicts=[_row(number, conflict) for number, conflict in enumerate(conflicts)]
+        thresholds=config.model_dump(),
+        conflicts=[_row(number, conflict) for number, conflict in enumerate(inside)],
+        exposure=Exposure(
+            outlines_m=area.outlines(),
+            area_m2=area.area_m2,
+            hours=area.hours,
+            road_user_hours=area.road_user_hours,
+            road_user_km=area.road_user_km,
+            conflicts_elsewhere=len(conflicts) - len(inside),
+        ),
+        track_errors=asdict(errors or TrackErrors()),
     )
 
 
@@ -32,6 +56,8 @@ def _row(number: int, conflict: Conflict) -> ConflictRow:
         ttc_s=finite(conflict.ttc_s),
         ttc_interval_s=_ends(conflict.ttc),
         probability=finite(conflict.probability),
+        ttc_probability=finite(conflict.ttc_probability),
+        pet_probability=finite(conflict.pet_probability),
         pet_s=finite(conflict.pet_s),
         pet_interval_s=_ends(conflict.pet),
         deceleration_mps2=conflict.deceleration_mps2,

@@ -1,59 +1,177 @@
-"""Which tracks can come into conflict, and at which instants: a cheap test of distance before the exact measures."""
+"""Which pairs of tracks may be in conflict, and when: cheap tests with room for error, before the exact measures."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from itertools import combinations
 
 import numpy as np
 from numpy.typing import NDArray
 
-from wibam_core.geometry.box3d import LENGTH, WIDTH, XY
+from wibam_core.geometry.box3d import LENGTH, WIDTH, XY, YAW
+from wibam_core.geometry.se3 import normalise_angle
+from wibam_core.progress import Progress
+from wibam_core.safety.track_errors import place_sd_m
 from wibam_core.scene import Track
+
+Array = NDArray[np.float64]
+Indices = NDArray[np.int64]
+
+#: How far beyond what the tracks say two may come to each other, in standard deviations of both, and at least, m.
+_MARGIN_SD, _MARGIN_M = 2.5, 0.5
+#: Speeds err by about this much, m/s: nobody is left out by less.
+_SPEED_MARGIN_MPS = 1.0
+#: Paths are compared on cells of this size, m.
+_CELL_M = 4.0
 
 
 @dataclass(frozen=True, eq=False)
 class PairInstants:
-    """The common instants of two tracks.
+    """Common instants of two tracks.
 
     Attributes:
         index_a, index_b: (K,) indices into the two tracks, in time order.
         consecutive: (K,) whether no instant of either track lies between this one and the one before.
     """
 
-    index_a: NDArray[np.int64]
-    index_b: NDArray[np.int64]
+    index_a: Indices
+    index_b: Indices
     consecutive: NDArray[np.bool_]
 
 
-def pair_instants(tracks: Sequence[Track], horizon_s: float) -> dict[tuple[int, int], PairInstants]:
-    """Pairs of tracks, by their ids (smaller first), whose paths come within reach of each other.
+@dataclass(frozen=True, eq=False)
+class _All:
+    """States (N) of all tracks, sorted by time, those of one instant by track."""
 
-    Kept are pairs whose bounding rectangles of all positions, grown by their sizes and by what they drive within
-    ``horizon_s`` at their top speed, meet, and that share at least one instant or follow within ``horizon_s``.
+    times_ns: Indices
+    track: Indices
+    place: Array
+    velocity: Array
+    yaw: Array
+    reach: Array
+    margin: Array
+
+    @classmethod
+    def of(cls, tracks: Sequence[Track]) -> _All:
+        times = np.concatenate([t.times_ns for t in tracks])
+        track = np.repeat(np.arange(len(tracks)), [len(t) for t in tracks])
+        order = np.lexsort((track, times))
+        boxes = np.concatenate([t.boxes for t in tracks])[order]
+        return cls(
+            times[order],
+            track[order],
+            boxes[:, XY],
+            np.concatenate([t.velocities_mps for t in tracks])[order],
+            boxes[:, YAW],
+            0.5 * np.hypot(boxes[:, LENGTH], boxes[:, WIDTH]),
+            _MARGIN_M + _MARGIN_SD * np.concatenate([place_sd_m(t) for t in tracks])[order],
+        )
+
+
+def approaching(
+    tracks: Sequence[Track], horizon_s: float, min_deceleration_mps2: float, progress: Progress
+) -> dict[tuple[int, int], Indices]:
+    """Pairs of tracks, as places in the sequence (smaller first), with the times (ns) at which they may be on a crash
+    course: straight on they would come within reach in less than ``horizon_s``, and it would take braking to avoid it.
     """
-    ordered = sorted(tracks, key=lambda track: track.track_id)
-    low, high, begin, end = _bounds(ordered, horizon_s)
-    horizon_ns = int(horizon_s * 1e9)
-    pairs = {}
-    for i, j in combinations(range(len(ordered)), 2):
-        apart_in_time = begin[i] > end[j] + horizon_ns or begin[j] > end[i] + horizon_ns
-        if apart_in_time or (low[i] > high[j]).any() or (low[j] > high[i]).any():
+    if not tracks:
+        return {}
+    every = _All.of(tracks)
+    starts = np.flatnonzero(np.r_[True, np.diff(every.times_ns) > 0])
+    ends = np.r_[starts[1:], len(every.times_ns)]
+    triangles: dict[int, tuple[Indices, Indices]] = {}
+    found: list[Indices] = []
+    for done, (start, end) in enumerate(zip(starts.tolist(), ends.tolist(), strict=True)):
+        n = end - start
+        if n < 2:
             continue
-        a, b = ordered[i], ordered[j]
-        _, index_a, index_b = np.intersect1d(a.times_ns, b.times_ns, assume_unique=True, return_indices=True)
-        step = (np.diff(index_a) == 1) & (np.diff(index_b) == 1)
-        pairs[a.track_id, b.track_id] = PairInstants(index_a, index_b, np.r_[False, step][: len(index_a)])
+        if n not in triangles:
+            triangles[n] = np.triu_indices(n, 1)
+        i, j = triangles[n]
+        i, j = i + start, j + start
+        offset = every.place[j] - every.place[i]
+        velocity = every.velocity[j] - every.velocity[i]
+        closing2 = (velocity**2).sum(axis=1)
+        approach = -(offset * velocity).sum(axis=1)
+        distance2 = (offset**2).sum(axis=1)
+        reach = every.reach[i] + every.reach[j] + every.margin[i] + every.margin[j]
+        speed = np.sqrt(closing2) + _SPEED_MARGIN_MPS
+        gap = np.sqrt(distance2) - reach
+        may = gap < speed * horizon_s
+        if min_deceleration_mps2 > 0:
+            may &= gap < speed**2 / (2 * min_deceleration_mps2)
+        # the least distance straight on, with more room the farther that is: courses err, too
+        time = np.clip(approach / np.maximum(closing2, 1e-9), 0.0, horizon_s)
+        nearest2 = distance2 - 2 * time * approach + time**2 * closing2
+        may &= (nearest2 < (reach + _SPEED_MARGIN_MPS * time) ** 2) & ((approach > 0) | (gap < 0))
+        rows = np.flatnonzero(may)
+        if len(rows):
+            found.append(np.stack([every.track[i[rows]], every.track[j[rows]], every.times_ns[i[rows]]]))
+        if done % 500 == 0:
+            progress(0.3 * done / len(starts), "Looking for crash courses")
+    return _by_pair(found)
+
+
+def _by_pair(found: Sequence[Indices]) -> dict[tuple[int, int], Indices]:
+    if not found:
+        return {}
+    a, b, times = np.concatenate(found, axis=1)
+    order = np.lexsort((times, b, a))
+    a, b, times = a[order], b[order], times[order]
+    starts = np.flatnonzero(np.r_[True, (np.diff(a) != 0) | (np.diff(b) != 0)])
+    ends = np.r_[starts[1:], len(a)]
+    return {(int(a[s]), int(b[s])): times[s:e] for s, e in zip(starts.tolist(), ends.tolist(), strict=True)}
+
+
+def crossing(
+    tracks: Sequence[Track], within_s: float, min_heading_difference_rad: float, min_speed_mps: float
+) -> set[tuple[int, int]]:
+    """Pairs of tracks, as places in the sequence (smaller first), that moved through one cell of the ground on
+    different courses, one not much later than ``within_s`` after the other."""
+    if not tracks:
+        return set()
+    every = _All.of(tracks)
+    moving = np.hypot(*every.velocity.T) >= 0.5 * min_speed_mps
+    cells = np.floor(every.place[moving] / _CELL_M).astype(np.int64)
+    track, time_s, yaw = every.track[moving], every.times_ns[moving] * 1e-9, every.yaw[moving]
+    # a state counts for the cells around its own, too: footprints are larger than their middle
+    around = np.array([(x, y) for x in (-1, 0, 1) for y in (-1, 0, 1)])
+    cell = (cells[:, None] + around).reshape(-1, 2)
+    track, time_s, yaw = (np.repeat(values, len(around)) for values in (track, time_s, yaw))
+    key = (cell[:, 0] + 2**20) * 2**21 + cell[:, 1] + 2**20
+    order = np.lexsort((time_s, track, key))
+    key, track, time_s, yaw = key[order], track[order], time_s[order], yaw[order]
+    starts = np.flatnonzero(np.r_[True, (np.diff(key) != 0) | (np.diff(track) != 0)])
+    ends = np.r_[starts[1:], len(key)]
+    key, track, enters, leaves, yaw = (
+        key[starts],
+        track[starts],
+        time_s[starts],
+        time_s[ends - 1],
+        yaw[(starts + ends) // 2],
+    )
+    order = np.lexsort((enters, key))
+    key, track, enters, leaves, yaw = key[order], track[order], enters[order], leaves[order], yaw[order]
+    latest = float((leaves - enters).max(initial=0.0)) + within_s
+    pairs: set[tuple[int, int]] = set()
+    for step in range(1, len(key)):
+        same = (key[step:] == key[:-step]) & (enters[step:] - enters[:-step] <= latest)
+        if not same.any():
+            break
+        near = same & (enters[step:] - leaves[:-step] <= within_s) & (track[step:] != track[:-step])
+        near &= np.abs(normalise_angle(yaw[step:] - yaw[:-step])) >= 0.8 * min_heading_difference_rad
+        rows = np.flatnonzero(near)
+        one, other = track[rows], track[rows + step]
+        pairs |= set(zip(np.minimum(one, other).tolist(), np.maximum(one, other).tolist(), strict=True))
     return pairs
 
 
-def _bounds(
-    tracks: Sequence[Track], horizon_s: float
-) -> tuple[NDArray[np.float64], NDArray[np.float64], list[int], list[int]]:
-    low, high = np.empty((len(tracks), 2)), np.empty((len(tracks), 2))
-    for k, track in enumerate(tracks):
-        reach = 0.5 * np.hypot(track.boxes[:, LENGTH], track.boxes[:, WIDTH]).max()
-        reach += horizon_s * np.hypot(*track.velocities_mps.T).max()
-        low[k], high[k] = track.boxes[:, XY].min(axis=0) - reach, track.boxes[:, XY].max(axis=0) + reach
-    return low, high, [int(t.times_ns[0]) for t in tracks], [int(t.times_ns[-1]) for t in tracks]
+def together(a: Track, b: Track, begin_ns: int, end_ns: int) -> PairInstants:
+    """The instants from ``begin_ns`` to ``end_ns`` that both tracks have."""
+    first_a, last_a = np.searchsorted(a.times_ns, [begin_ns, end_ns + 1]).tolist()
+    first_b, last_b = np.searchsorted(b.times_ns, [begin_ns, end_ns + 1]).tolist()
+    _, index_a, index_b = np.intersect1d(
+        a.times_ns[first_a:last_a], b.times_ns[first_b:last_b], assume_unique=True, return_indices=True
+    )
+    step = (np.diff(index_a) == 1) & (np.diff(index_b) == 1)
+    return PairInstants(index_a + first_a, index_b + first_b, np.r_[False, step][: len(index_a)])

@@ -18,6 +18,8 @@ Array = NDArray[np.float64]
 #: Tracks are compared at this step, then around the smallest time between them at the finer one.
 _COARSE_S = 0.05
 _FINE_S = 0.0025
+#: Paths are compared as lines between places that lie so far apart.
+_STEP_M = 1.5
 
 
 @dataclass(frozen=True)
@@ -53,11 +55,13 @@ def post_encroachment(
         b: the other, on the same clock.
         max_pet_s: longer times are not looked for.
         min_heading_difference_rad: places that both pass in about the same direction, as a follower does, are left
-            out below this difference.
+            out below this difference; where it is given, the paths must cut each other at such an angle, too.
 
     Returns:
         None where the paths do not share a place within ``max_pet_s``.
     """
+    if min_heading_difference_rad > 0 and not paths_cross(a.boxes[:, XY], b.boxes[:, XY], min_heading_difference_rad):
+        return None
     times_a, times_b = (
         _grid(a, int(a.times_ns[0]), int(a.times_ns[-1]), _COARSE_S),
         _grid(b, int(b.times_ns[0]), int(b.times_ns[-1]), _COARSE_S),
@@ -118,7 +122,7 @@ def _closest_in_time(
     row, column = np.nonzero(inside & ((offset**2).sum(axis=-1) <= reach**2))
     i, j = row, j[row, column]
     if min_heading_difference_rad > 0:
-        differ = np.abs(normalise_angle(boxes_a[i, YAW] - boxes_b[j, YAW])) >= min_heading_difference_rad
+        differ = courses_differ(boxes_a, boxes_b, i, j, min_heading_difference_rad)
         i, j = i[differ], j[differ]
     touch = footprints_touch(boxes_a[i], boxes_b[j])
     if not touch.any():
@@ -126,6 +130,54 @@ def _closest_in_time(
     i, j = i[touch], j[touch]
     best = int(np.argmin(np.abs(times_a[i] - times_b[j])))
     return int(times_a[i[best]]), int(times_b[j[best]])
+
+
+def paths_cross(a: Array, b: Array, least_rad: float) -> bool:
+    """Whether two paths (N, 2) and (M, 2), m, cut each other at an angle of at least ``least_rad``.
+
+    Who turns into a lane behind another, or leaves it before another, does not cross that one's path: such a pair
+    follows.
+    """
+    a, b = _thinned(a), _thinned(b)
+    if len(a) < 2 or len(b) < 2:
+        return False
+    u, v = np.diff(a, axis=0)[:, None], np.diff(b, axis=0)[None]
+    offset = b[None, :-1] - a[:-1, None]
+    area = u[..., 0] * v[..., 1] - u[..., 1] * v[..., 0]
+    with np.errstate(divide="ignore", invalid="ignore"):
+        along_a = (offset[..., 0] * v[..., 1] - offset[..., 1] * v[..., 0]) / area
+        along_b = (offset[..., 0] * u[..., 1] - offset[..., 1] * u[..., 0]) / area
+    cut = (along_a >= 0) & (along_a <= 1) & (along_b >= 0) & (along_b <= 1)
+    angle = np.abs(np.arctan2(area, (u * v).sum(axis=-1)))
+    return bool((cut & (angle >= least_rad)).any())
+
+
+def _thinned(path: Array) -> Array:
+    """Places of a path (N, 2) that are at least `_STEP_M` of the way apart: standing still has no direction."""
+    way = np.r_[0.0, np.cumsum(np.hypot(*np.diff(path, axis=0).T))]
+    return path[np.unique(np.searchsorted(way, np.arange(0.0, way[-1], _STEP_M)))]
+
+
+def courses_differ(
+    boxes_a: Array, boxes_b: Array, i: NDArray[np.int64], j: NDArray[np.int64], least_rad: float
+) -> NDArray[np.bool_]:
+    """(P,) whether two come to the places where they are at moments i of a and j of b (P,) on different courses.
+
+    Of two that follow each other through a bend, the one ahead has turned farther, too. So not only their headings at
+    these moments must differ, but also that of each when it passes nearest to where the other then is.
+
+    Args:
+        boxes_a: (N, 7) along one path.
+        boxes_b: (M, 7) along the other.
+        i: (P,) moments of a.
+        j: (P,) moments of b.
+        least_rad: of the difference.
+    """
+    gaps2 = ((boxes_a[:, None, XY] - boxes_b[None, :, XY]) ** 2).sum(axis=-1)
+    yaw_a, yaw_b = boxes_a[:, YAW], boxes_b[:, YAW]
+    b_there, a_there = yaw_b[gaps2.argmin(axis=1)], yaw_a[gaps2.argmin(axis=0)]
+    pairs = ((yaw_a[i], yaw_b[j]), (yaw_a[i], b_there[i]), (a_there[j], yaw_b[j]))
+    return np.asarray(np.all([np.abs(normalise_angle(one - other)) >= least_rad for one, other in pairs], axis=0))
 
 
 def _within(boxes: Array, others: Array, reach_m: float) -> NDArray[np.bool_]:

@@ -246,7 +246,7 @@ _SPECS = (
         "Track in 7DoF",
         (catalogue.RIG, catalogue.FRAMES, catalogue.PREDICTIONS),
     ),
-    StageSpec("safety", "Find conflicts", (catalogue.TRACKS,)),
+    StageSpec("safety", "Find conflicts", (catalogue.SPLIT, catalogue.FITS, catalogue.TRACKS)),
     StageSpec(
         "report",
         "Write the report",

@@ -32,6 +32,8 @@ _MAX_DISTANCE = 32.0
 _DUPLICATE_IOU = 0.1
 #: A new vehicle's speed is not known, so that it may be sought far away: its standard deviation counts as this at most.
 _MAX_SPEED_SD = 10.0
+#: Slower than this somebody stands, m/s.
+_STANDING_MPS = 0.7
 #: A tracked road user is as large as the median of so many of its latest boxes.
 _LATEST_SIZES = 15
 #: How many numbers each array of a hit has.
@@ -209,7 +211,8 @@ class Tracker:
         self._instants.append(time_ns)
         self._end_unseen(time_ns)
         model = self._active.model
-        hidden_s = np.asarray((time_ns - self._active.times_ns) * 1e-9, np.float64)
+        # who stands is still there: after a while no less sure
+        hidden_s = np.minimum((time_ns - self._active.times_ns) * 1e-9, self._config.max_coast_s)
         expected, _ = model.predict(self._active.belief, hidden_s)
         places = self._active.boxes.copy()
         places[:, POSE] = model.centre(expected.mean)[0]
@@ -281,7 +284,10 @@ class Tracker:
 
     # --- one instant --------------------------------------------------------------------------
     def _end_unseen(self, time_ns: int) -> None:
-        unseen = time_ns - self._active.times_ns > self._config.max_coast_s * 1e9
+        speeds = np.hypot(*self._active.model.travel(self._active.belief.mean)[0].T)
+        may_hide = (speeds < _STANDING_MPS) & (self._active.seen >= self._config.min_hits)
+        longest_s = np.where(may_hide, self._config.max_coast_standing_s, self._config.max_coast_s)
+        unseen = time_ns - self._active.times_ns > longest_s * 1e9
         if unseen.any():
             self._ended += self._active.where(unseen).hits
             self._active = self._active.where(~unseen)

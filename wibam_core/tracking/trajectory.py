@@ -23,10 +23,12 @@ Indices = NDArray[np.int64]
 
 #: A vehicle that drove at least this far shows by its motion where its front is.
 _MIN_DRIVEN_M = 2.0
-#: A camera errs in much the same way in one frame and the next, while the smoother takes errors for independent: where
-#: half of their variance persists, the smoother's variances are too small by about this factor
-#: (benchmarks/tracking.py).
-_CORRELATION = 3.0
+#: A camera errs in much the same way in one frame and the next, while the smoother takes errors for independent. So
+#: what is measured counts for less than it says, and what comes out is less certain than the smoother says: factors of
+#: the variances of x, y and yaw (benchmarks/tracking.py, where half of the variance persists). Who walks turns at once,
+#: and is not taken for somebody who drives on.
+_LASTING = 3.0
+_LEFT = np.array([1.5, 1.5, 2.2])
 #: So many vehicles are smoothed together; all that is known of their states at every instant is in memory meanwhile.
 _TOGETHER = 64
 #: Somebody slower than this may be stepping back or aside, m/s.
@@ -82,7 +84,8 @@ def _smoothed(first_id: int, vehicles: Sequence[Sequence[Hit]], instants: Indice
         measured[rows] = True
         value[rows] = np.array([hit.box for hit in hits])[:, POSE]
         sd[rows] = np.array([hit.sd for hit in hits])[:, POSE]
-    measurements = Measurement(value, sd)
+    lasting = np.where(model.turns_freely, 1.0, _LASTING)[of_state, None]
+    measurements = Measurement(value, np.sqrt(lasting) * sd)
     beliefs = smooth(model, lengths, times_ns, measurements, measured)
     states = [slice(at, at + length) for at, length in zip(start, lengths, strict=True)]
     travelled = model.where(of_state).travel(beliefs.mean)[1]
@@ -107,7 +110,7 @@ def _smoothed(first_id: int, vehicles: Sequence[Sequence[Hit]], instants: Indice
     boxes, sd = np.empty((len(of_state), 7)), np.empty((len(of_state), 7))
     boxes[:, XY], boxes[:, YAW] = place[:, :STATE_YAW], normalise_angle(place[:, STATE_YAW])
     boxes[:, SIZE], boxes[:, Z] = size[of_state], size[of_state, 2] / 2
-    sd[:, POSE] = np.sqrt(_CORRELATION * np.maximum(variances, 0.0))
+    sd[:, POSE] = np.sqrt(_LEFT * (_LASTING / lasting) * np.maximum(variances, 0.0))
     sd[:, SIZE], sd[:, Z] = size_sd[of_state], size_sd[of_state, 2] / 2
     sd = np.maximum(sd, SD_FLOOR / 3)
     velocities, yaw_rates = every.velocity(beliefs.mean)

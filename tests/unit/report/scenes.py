@@ -364,6 +364,7 @@ def report_data(*, labels: bool = True, site_name: str = "Elm Street / 4th Avenu
         tracks=tuple(tracks),
         conflicts=tuple(conflicts.conflicts),
         conflict_thresholds=conflicts.thresholds,
+        exposure=None,
         typical_images={c: typical_image([pictures[time][c] for time in times]) for c in ids},
         clusters=tuple(clustered(time / 1e9, truth[time], 4, seed=k) for k, time in enumerate(times)),
         boxes=tuple(

@@ -5,17 +5,37 @@ import { clock, number, percent, words } from "../format.js";
 import { figure, plot } from "../chart.js";
 import { drawHeat } from "../heatmap.js";
 import { jobId, readOnly, showTabs, showTitle } from "../jobtabs.js";
-import { cameraColour, drawCamera, Plan } from "../plan.js";
+import { cameraColour, drawCamera, Plan, token } from "../plan.js";
 import { Camera } from "../projection.js";
 
 const TYPES = /** @type {const} */ ([["rear_end", "#e69f00", "circle"], ["merging", "#56b4e9", "square"], ["crossing", "#d55e00", "triangle"], ["head_on", "#a3154b", "cross"]]);
-let conflicts = /** @type {any[]} */ ([]), shown = /** @type {any[]} */ ([]), cameras = /** @type {Camera[]} */ ([]);
+let area = /** @type {Array<Array<[number, number]>>} */ ([]), conflicts = /** @type {any[]} */ ([]), shown = /** @type {any[]} */ ([]), cameras = /** @type {Camera[]} */ ([]);
 /** @type {Map<number, {verdict: string, note: string}>} */
 const reviews = new Map();
 const plan = new Plan(byId("heat"), (view, context) => {
   cameras.forEach((camera, index) => drawCamera(view, context, camera, cameraColour(index)));
+  drawArea(view, context);
   drawHeat(view, context, shown);
 });
+
+/** The outlines of where conflicts are told. @param {Plan} view @param {CanvasRenderingContext2D} context */
+function drawArea(view, context) {
+  context.save();
+  context.setLineDash([2, 4]);
+  context.strokeStyle = token("--ink");
+  for (const ring of area) {
+    context.beginPath();
+    for (const point of ring) { const [x, y] = view.toCanvas(point); context.lineTo(x, y); }
+    context.closePath();
+    context.stroke();
+  }
+  context.restore();
+}
+
+/** What a count of conflicts is to be compared with. @param {any} exposure */
+function exposed(exposure) {
+  return `Conflicts are told of ${number(exposure.area_m2, 0)} m² (dotted on the map), where tracks are good enough to say so. Road users spent ${number(60 * exposure.road_user_hours, 1)} minutes there and went ${number(exposure.road_user_km, 1)} km in ${number(60 * exposure.hours, 1)} minutes of recording.${exposure.conflicts_elsewhere ? ` ${exposure.conflicts_elsewhere} more that look like conflicts outside are not told.` : ""}`;
+}
 
 /** @param {any} one */
 const player = (one) => `/jobs/${jobId}/player?conflict=${one.conflict_id}`;
@@ -81,6 +101,7 @@ attempt(async () => {
   const document_ = await getIfThere(`/v1/jobs/${jobId}/conflicts`);
   if (!document_) { fill(byId("nothing"), message("plain", "conflicts have not been looked for yet", "They appear here once the stage has finished.")); return; }
   conflicts = document_.conflicts;
+  if (document_.exposure) { area = document_.exposure.outlines_m; byId("exposure").textContent = exposed(document_.exposure); }
   if (!conflicts.length) { fill(byId("nothing"), message("plain", "there are no conflicts", `The thresholds were TTC ${document_.thresholds.ttc_s} s and PET ${document_.thresholds.pet_s} s; a job's options change them.`)); return; }
   const [said, scene] = await Promise.all([get(`/v1/jobs/${jobId}/conflicts/reviews`), getIfThere(`/v1/jobs/${jobId}/scene`)]);
   for (const review of said) reviews.set(review.conflict_id, review);
