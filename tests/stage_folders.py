@@ -86,7 +86,10 @@ class StageFolders:
         return StageContext(
             stage,
             site,
-            {camera_id: Recording.at(path) for camera_id, path in (recordings or {}).items()},
+            {
+                camera_id: one if isinstance(one, Recording) else Recording.at(one)
+                for camera_id, one in (recordings or {}).items()
+            },
             assets or {},
             ArtifactReader({name: self.folder(name) for name in spec.requires}),
             ArtifactWriter(stage, self.folder(stage), spec.writes),
