@@ -17,6 +17,8 @@ from collections.abc import Hashable, Sequence
 import numpy as np
 from numpy.typing import NDArray
 
+#: Signal, state before, state after.
+Kind = tuple[str, str, str]
 Array = NDArray[np.float64]
 IntArray = NDArray[np.int64]
 
@@ -40,11 +42,11 @@ _PHASES = 32
 _WHOLE = 0.2
 
 
-def regular_times(kinds: Sequence[Hashable], times_s: Array, sd_s: Array) -> tuple[Array, IntArray]:
+def regular_times(kinds: Sequence[Kind], times_s: Array, sd_s: Array) -> tuple[Array, IntArray]:
     """Times of changes, less the errors that break their own regularity, and which of them hang together.
 
     Args:
-        kinds: (G,) what changed, from what to what.
+        kinds: (G,) which signal changed, from what to what.
         times_s: (G,) estimates, ascending.
         sd_s: (G,) their standard deviations.
 
@@ -53,8 +55,9 @@ def regular_times(kinds: Sequence[Hashable], times_s: Array, sd_s: Array) -> tup
         after the same time do so exactly, and all others are as they were. And (G,) the number of the set that each
         belongs to: all of a grid, or all that are tied to each other.
     """
-    stepped = _stepped(times_s, sd_s)
-    return (stepped, np.zeros(len(times_s), np.int64)) if stepped is not None else _following(kinds, times_s, sd_s)
+    tied, sets = _following(kinds, times_s, sd_s)
+    stepped = _stepped(times_s, sd_s, len(np.unique(sets)))
+    return (tied, sets) if stepped is None else (stepped, np.zeros(len(times_s), np.int64))
 
 
 def rounding_covariance(
@@ -93,9 +96,15 @@ def rounding_covariance(
     return total
 
 
-def _stepped(times_s: Array, sd_s: Array) -> Array | None:
-    """The times on a grid of `_STEP_S` of a controller's clock; None where they do not lie on one."""
-    if len(times_s) < 2:
+def _stepped(times_s: Array, sd_s: Array, independent: int) -> Array | None:
+    """The times on a grid of `_STEP_S` of a controller's clock; None where they do not lie on one.
+
+    Args:
+        times_s: (G,).
+        sd_s: (G,) their standard deviations.
+        independent: how many of them are not tied to earlier ones: only these tell.
+    """
+    if independent < 2:
         return None
     since = times_s - times_s.mean()
     reach = max(float(np.ptp(since)), _STEP_S)
@@ -103,7 +112,7 @@ def _stepped(times_s: Array, sd_s: Array) -> Array | None:
     drifts = np.arange(-steps, steps + 1) * (_STEP_S / reach / 4)
     turns = np.exp(2j * np.pi * np.outer(1 + drifts, since) / _STEP_S).mean(axis=1)
     usual = float(np.exp(-2 * (np.pi * sd_s / _STEP_S) ** 2).mean())
-    by_chance = float(np.sqrt(np.log(_SIGNIFICANCE * len(drifts)) / len(times_s)))
+    by_chance = float(np.sqrt(np.log(_SIGNIFICANCE * len(drifts)) / independent))
     best = int(np.argmax(np.abs(turns)))
     if abs(turns[best]) < max(_SEEN_SHARE * usual, by_chance):
         return None
@@ -113,17 +122,19 @@ def _stepped(times_s: Array, sd_s: Array) -> Array | None:
     return np.asarray(line(number), dtype=np.float64)
 
 
-def _following(kinds: Sequence[Hashable], times_s: Array, sd_s: Array) -> tuple[Array, IntArray]:
+def _following(kinds: Sequence[Kind], times_s: Array, sd_s: Array) -> tuple[Array, IntArray]:
     """The times such that changes which always follow each other after the same time do so exactly; sets of such."""
-    found: dict[tuple[Hashable, Hashable], list[tuple[int, int]]] = {}
+    found: dict[Hashable, list[tuple[int, int]]] = {}
     for i, kind in enumerate(kinds):
         after: set[Hashable] = set()
         for j in range(i + 1, len(kinds)):
             if times_s[j] - times_s[i] > _FOLLOWS_S:
                 break
-            if kinds[j] not in after:
-                after.add(kinds[j])
-                found.setdefault((kind, kinds[j]), []).append((i, j))
+            # These two signals, and any two: amber lasts as long at all of them.
+            for key in ((kind, kinds[j]), (kind[0] == kinds[j][0], kind[1:], kinds[j][1:])):
+                if key not in after:
+                    after.add(key)
+                    found.setdefault(key, []).append((i, j))
     links: dict[int, tuple[int, float]] = {}
     for pairs in found.values():
         if len(pairs) < _LEAST_FOLLOWING:
