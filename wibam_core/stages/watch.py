@@ -8,6 +8,7 @@ camera that was turned, a network that finds less, or is less sure, than where i
 from __future__ import annotations
 
 import ctypes
+import gc
 import json
 from collections import Counter
 from collections.abc import Iterator, Sequence
@@ -267,7 +268,8 @@ class _Watch:
 
 
 def _give_back_memory() -> None:
-    """Let the system have what is free: pictures that come and go leave the C library's heap in ever more pieces."""
+    """Let the system have what is free: closed decoders wait in cycles of objects, and freed pictures in the heap."""
+    gc.collect()
     with suppress(OSError, AttributeError):  # not glibc
         ctypes.CDLL(None).malloc_trim(0)
 
