@@ -23,7 +23,7 @@ _WINDOWS = 0.16
 #: The work of sharing, as a share of a core that is lost for each further one.
 _LOST_SHARE = 0.15
 #: That all goes as expected counts as much as stages that are so large a share of the whole.
-_BELIEVED_SHARE = 0.05
+_BELIEVED_SHARE = 0.2
 #: A stage's own pace counts as much as what was expected of it once this share of it is done.
 _KNOWN_FRACTION = 0.1
 
