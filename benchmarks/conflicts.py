@@ -2,8 +2,8 @@
 
 Drivers look away, force their way and run red (`synthetic.risks`). Which conflicts there are follows from the true
 states by brute force (`benchmarks/conflict_truth.py`). Each camera's detections have the errors that a fine-tuned
-network makes on rendered sites (`benchmarks/network_errors.py`); tracker and safety are those of a job. Rendering ten
-sites, and jobs on them, would take a day.
+network makes on rendered sites (`benchmarks/measure_network_errors.py`); tracker and safety are those of a job.
+Rendering ten sites, and jobs on them, would take a day.
 
     python benchmarks/conflicts.py --sites 100 101 102 --cameras 4 1 --write docs/conflicts.json
 """

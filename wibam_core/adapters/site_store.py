@@ -12,10 +12,11 @@ from sqlalchemy.orm import Session
 from wibam_core.adapters import records
 from wibam_core.adapters.database import Database
 from wibam_core.adapters.models import FileRow, JobFileRow, JobRow, SiteRow, UploadRow
-from wibam_core.errors import Conflict, InputError, NotFound, QuotaExceeded
+from wibam_core.adapters.site_rules import camera_of, check_camera, check_listed, check_quota, retire_unlisted
+from wibam_core.errors import Conflict, InputError, NotFound
 from wibam_core.jobs.records import Purpose, SiteRecord, StoredFile, Upload
 from wibam_core.jobs.states import JobState
-from wibam_core.site import Site, SiteCamera
+from wibam_core.site import Site
 
 _TERMINAL = [state.value for state in JobState if state.is_terminal]
 Clock = Callable[[], float]
@@ -91,7 +92,7 @@ class SiteStore:
             session.execute(delete(UploadRow).where(UploadRow.site_id == site_id, UploadRow.file_id.is_(None), gone))
             session.execute(update(FileRow).where(FileRow.site_id == site_id, retired).values(retired_at=self._now()))
             for camera in site.cameras:
-                _retire_unlisted(session, site_id, camera, self._now())
+                retire_unlisted(session, site_id, camera, self._now())
             session.flush()
             return records.site_record(row)
 
@@ -218,10 +219,10 @@ class SiteStore:
         )
         with self._database.writing(exclusive=True) as session:
             site = records.site_record(_site_row(session, request.site_id)).site
-            _check_camera(site, request.purpose, request.camera_id)
+            check_camera(site, request.purpose, request.camera_id)
             if request.purpose is Purpose.RECORDING:
-                _check_listed(_camera_of(site, request.camera_id), upload.filename)
-            _check_quota(session, request.length, quota_bytes)
+                check_listed(camera_of(site, request.camera_id), upload.filename)
+            check_quota(session, request.length, quota_bytes)
             session.add(
                 UploadRow(
                     id=upload.id,
@@ -291,7 +292,7 @@ class SiteStore:
         with self._database.writing(exclusive=True) as session:
             if session.get(UploadRow, upload.id) is None:
                 raise NotFound(f"there is no upload {upload.id} any more", hint="Start a new one.")
-            camera = _camera_of(records.site_record(_site_row(session, file.site_id)).site, file.camera_id)
+            camera = camera_of(records.site_record(_site_row(session, file.site_id)).site, file.camera_id)
             if file.purpose in (Purpose.FOOTAGE, Purpose.MODEL) or (camera is not None and camera.recordings):
                 same_place &= FileRow.filename == file.filename
             session.execute(update(FileRow).where(same_place).values(retired_at=now))
@@ -344,60 +345,3 @@ def _site_row(session: Session, site_id: str) -> SiteRow:
     if row is None:
         raise NotFound(f"there is no site {site_id}", hint="List the sites to see their ids.")
     return row
-
-
-def _check_camera(site: Site, purpose: Purpose, camera_id: str) -> None:
-    if not purpose.is_of_camera:
-        if camera_id:
-            raise InputError(
-                f"a file for {purpose} belongs to the site, not to camera {camera_id!r}", hint="Leave the camera out."
-            )
-    elif camera_id not in site.camera_ids:
-        raise InputError(
-            f"the site has no camera {camera_id!r}",
-            hint=f"Its cameras are {', '.join(site.camera_ids)}.",
-            camera=camera_id,
-        )
-
-
-def _camera_of(site: Site, camera_id: str) -> SiteCamera | None:
-    return next((camera for camera in site.cameras if camera.id == camera_id), None)
-
-
-def _check_listed(camera: SiteCamera | None, filename: str) -> None:
-    if camera is not None and camera.recordings and filename not in camera.recordings:
-        raise InputError(
-            f"the site lists no file {filename!r} for camera {camera.id}",
-            hint=f"It lists {', '.join(camera.recordings)}: describe the site anew to add one.",
-            camera=camera.id,
-        )
-
-
-def _retire_unlisted(session: Session, site_id: str, camera: SiteCamera, now: float) -> None:
-    """Take those files of a camera off its site that its list does not name, and, where it has none, all of several."""
-    current = (
-        (FileRow.site_id == site_id)
-        & (FileRow.purpose == Purpose.RECORDING.value)
-        & (FileRow.camera_id == camera.id)
-        & FileRow.retired_at.is_(None)
-    )
-    if camera.recordings:
-        current &= FileRow.filename.not_in(camera.recordings)
-    elif (session.scalar(select(func.count()).select_from(FileRow).where(current)) or 0) < 2:
-        return
-    session.execute(update(FileRow).where(current).values(retired_at=now))
-
-
-def _check_quota(session: Session, length: int, quota_bytes: int) -> None:
-    stored = session.scalar(select(func.coalesce(func.sum(FileRow.size_bytes), 0))) or 0
-    promised = session.scalar(
-        select(func.coalesce(func.sum(UploadRow.length_bytes), 0)).where(UploadRow.file_id.is_(None))
-    )
-    used = int(stored) + int(promised or 0)
-    if used + length > quota_bytes:
-        raise QuotaExceeded(
-            f"{length / 1e6:.0f} MB are too many: {used / 1e6:.0f} of {quota_bytes / 1e6:.0f} MB are taken",
-            hint="Delete recordings that are no longer needed, or raise the service's upload quota.",
-            used_bytes=used,
-            quota_bytes=quota_bytes,
-        )

@@ -22,55 +22,9 @@ from wibam_core.config import FinetuneConfig, PipelineConfig, StageConfig
 from wibam_core.errors import UnknownOption
 from wibam_core.job_kind import JobKind
 from wibam_core.site import Site
+from wibam_core.stages import depends
 from wibam_core.stages.assets import ASSETS, require_assets
 from wibam_core.stages.code import code_digest
-
-
-def _nothing(site: Site) -> Any:
-    return None
-
-
-def _sizes(site: Site) -> Any:
-    return [(c.id, c.width_px, c.height_px) for c in site.cameras]
-
-
-def _signals(site: Site) -> Any:
-    return [(c.id, c.width_px, c.height_px, [s.model_dump() for s in c.signals]) for c in site.cameras]
-
-
-def _calibration(site: Site) -> Any:
-    views = [[view.model_dump() for view in c.views] for c in site.cameras]
-    return [(c.id, c.width_px, c.height_px, c.calibration.model_dump()) for c in site.cameras], views
-
-
-def _everything(site: Site) -> Any:
-    return site.model_dump()
-
-
-def _no_options(config: PipelineConfig) -> FinetuneConfig | None:
-    return None
-
-
-def _of_network(config: PipelineConfig) -> FinetuneConfig | None:
-    """What the site's own network must be able to do, where it is used."""
-    if not ASSETS["network"].is_used(config):
-        return None
-    options = config.finetune
-    return FinetuneConfig(
-        network=options.network,
-        method=options.method,
-        decode=options.decode,
-        input_width_px=options.input_width_px,
-    )
-
-
-def _of_rounds(config: PipelineConfig) -> tuple[StageConfig, ...]:
-    """What a round goes through, where there is one."""
-    return (config.detect, config.associate, config.dataset, config.lift) if config.rounds.most else ()
-
-
-def _no_others(config: PipelineConfig) -> tuple[StageConfig, ...]:
-    return ()
 
 
 @dataclass(frozen=True)
@@ -110,12 +64,12 @@ class StageSpec:
     name: str
     title: str
     reads: tuple[Artifact[Any], ...] = ()
-    site_part: Callable[[Site], Any] = _nothing
+    site_part: Callable[[Site], Any] = depends.nothing
     reads_recordings: bool = False
     assets: tuple[str, ...] = ()
     asset_checks: frozenset[str] = frozenset()
-    checked_options: Callable[[PipelineConfig], FinetuneConfig | None] = _no_options
-    other_options: Callable[[PipelineConfig], tuple[StageConfig, ...]] = _no_others
+    checked_options: Callable[[PipelineConfig], FinetuneConfig | None] = depends.no_options
+    other_options: Callable[[PipelineConfig], tuple[StageConfig, ...]] = depends.no_others
     frame_by_frame: FrameByFrame | None = None
     reads_if_wide: tuple[Artifact[Any], ...] = ()
     module: str = ""
@@ -165,21 +119,25 @@ _SPECS = (
     StageSpec(
         "preflight",
         "Check the recordings",
-        site_part=_sizes,
+        site_part=depends.sizes,
         reads_recordings=True,
         assets=("labels", "network"),
         asset_checks=frozenset({"formats.labels", "networks.registry"}),
-        checked_options=_of_network,
+        checked_options=depends.of_network,
     ),
-    StageSpec("calibrate", "Calibrate the cameras", (), _calibration),
+    StageSpec("calibrate", "Calibrate the cameras", (), depends.calibration),
     StageSpec(
-        "sync", "Synchronise the cameras", (catalogue.PROBE, catalogue.CALIBRATED_RIG), _signals, reads_recordings=True
+        "sync",
+        "Synchronise the cameras",
+        (catalogue.PROBE, catalogue.CALIBRATED_RIG),
+        depends.signals,
+        reads_recordings=True,
     ),
     StageSpec(
         "frames",
         "Read the frames",
         (catalogue.PROBE, catalogue.TIMESTAMPS, catalogue.LIMITS, catalogue.CLOCKS),
-        _sizes,
+        depends.sizes,
         reads_recordings=True,
         frame_by_frame=FrameByFrame(frozenset({"rate_hz"}), frozenset({"preflight", "sync"})),
         reads_if_wide=(catalogue.CALIBRATED_RIG,),
@@ -208,7 +166,7 @@ _SPECS = (
             catalogue.DETECTIONS,
             catalogue.SEARCHED_INSTANTS,
         ),
-        other_options=_of_rounds,
+        other_options=depends.of_rounds,
     ),
     StageSpec(
         "associate",
@@ -272,7 +230,7 @@ _SPECS = (
             catalogue.TRACKS,
             catalogue.CONFLICTS,
         ),
-        site_part=_everything,
+        site_part=depends.everything,
         assets=("labels",),
     ),
 )

@@ -10,7 +10,8 @@ import pytest
 
 from tests.builders import corner_rig, site_of
 from tests.stage_folders import StageFolders
-from tests.unit.report.scenes import boxes_at, crossing_traffic, metrics_json
+from tests.unit.report.documents import metrics_json
+from tests.unit.report.scenes import boxes_at, crossing_traffic
 from tests.unit.report.upstream import annotated, write_upstream
 from wibam_core.artifacts import catalogue
 from wibam_core.config import ReportConfig

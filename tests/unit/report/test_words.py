@@ -10,7 +10,8 @@ import pytest
 from rich.console import Console
 
 from tests.builders import AMBIGUOUS
-from tests.unit.report.scenes import conflicts_json, crossing_traffic, metrics_json
+from tests.unit.report.documents import conflicts_json, metrics_json
+from tests.unit.report.scenes import crossing_traffic
 from wibam_core.cli.tables import print_tables
 from wibam_core.documents.conflicts import Conflicts
 from wibam_core.documents.metrics import Metrics

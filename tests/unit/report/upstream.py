@@ -9,7 +9,8 @@ from safetensors.numpy import save_file
 
 from tests.builders import corner_rig
 from tests.stage_folders import StageFolders
-from tests.unit.report.scenes import boxes_at, crossing_traffic, metrics_json, noisy, paint
+from tests.unit.report.documents import metrics_json
+from tests.unit.report.scenes import boxes_at, crossing_traffic, noisy, paint
 from wibam_core.artifacts import catalogue
 from wibam_core.association.associate import association_statistics
 from wibam_core.calibration.overlap import overlap_of
