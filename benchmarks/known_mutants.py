@@ -118,8 +118,8 @@ KNOWN = (
     Mistake(
         "improbable conflicts are reported",
         "wibam_core/safety/conflicts.py",
-        "if probability < config.min_probability:",
-        "if probability < 0.0:",
+        "conflict.probability >= config.min_probability:",
+        "conflict.probability >= 0.0:",
         ("tests/unit/safety/test_conflicts.py",),
     ),
 )

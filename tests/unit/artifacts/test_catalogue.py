@@ -22,9 +22,18 @@ from wibam_core.stages import graph
 from wibam_core.stages.graph import STAGES
 
 ROOT = Path(__file__).resolve().parents[3]
-#: Modules with files of their own, which only happen to be called as artifacts are: the truth of a simulated site, a
-#: benchmark's cache of one, what `wibam track` writes, and the example in the client's docstring.
-_OWN_FILES = ("synthetic/recorder.py", "benchmarks/lifting.py", "cli/track.py", "client/__init__.py")
+#: Modules with files of their own, which only happen to be called as artifacts are: the truth of a simulated site, the
+#: networks that a service keeps, caches and tables of benchmarks, what `wibam track` writes, and the example in the
+#: client's docstring.
+_OWN_FILES = (
+    "synthetic/recorder.py",
+    "adapters/model_keeping.py",
+    "benchmarks/lifting.py",
+    "benchmarks/measure_network_errors.py",
+    "benchmarks/queries.py",
+    "cli/track.py",
+    "client/__init__.py",
+)
 
 
 def test_names_and_places_are_unique() -> None:
