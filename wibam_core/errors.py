@@ -190,6 +190,16 @@ class Unauthorised(WibamError):
     default_hint = "Send the API token as 'Authorization: Bearer TOKEN'; `wibam serve` prints it."
 
 
+class TooCostly(InputError):
+    """The work would take longer than whoever runs the service allows."""
+
+    code = "too_costly"
+    default_hint = (
+        "Lower finetune.steps or frames.rate_hz, or use shorter recordings; whoever runs the service can raise "
+        "WIBAM_JOB_HOURS."
+    )
+
+
 class Forbidden(WibamError):
     """Who asks is known, and may not do this."""
 

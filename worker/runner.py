@@ -15,6 +15,7 @@ from wibam_core.adapters.job_rows import StageKey
 from wibam_core.adapters.job_store import JobStore
 from wibam_core.adapters.lease_store import LeaseStore, LostLease
 from wibam_core.adapters.logs import JobLog
+from wibam_core.adapters.machine import this_machine
 from wibam_core.adapters.planning import are_dated
 from wibam_core.adapters.records import plain_json
 from wibam_core.adapters.reuse import Reuse, end_with_what_is_there
@@ -24,6 +25,7 @@ from wibam_core.config import PipelineConfig
 from wibam_core.documents.warnings import StageWarning
 from wibam_core.errors import StageError, StageOutOfMemory, StageTimedOut, WibamError
 from wibam_core.job_kind import JobKind
+from wibam_core.jobs.estimate import check_cost
 from wibam_core.jobs.leases import Claim, LeasePolicy
 from wibam_core.jobs.records import Job, StageRun
 from wibam_core.jobs.states import StageState
@@ -183,6 +185,7 @@ class StageRunner:
         ready = end_with_what_is_there(self._leases, self._store, claim, stage.hash, account.write)
         if ready is not None:
             return ready
+        check_cost(job, this_machine(), self._limits.job_seconds)
         attempt = self._store.begin(stage.name, stage.hash, stage.frame_hash)
         try:
             account.write(f"started, attempt {claim.attempt}")

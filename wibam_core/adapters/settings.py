@@ -18,14 +18,18 @@ _GB = 1_000_000_000
 
 @dataclass(frozen=True)
 class StageLimits:
-    """What one stage may take: resident memory (bytes), wall time (s); ``nice`` is its scheduling priority."""
+    """What one stage may take: resident memory (bytes), wall time (s); ``nice`` is its scheduling priority.
+
+    A job that is expected to take longer than ``job_seconds`` is refused once its recordings were looked at.
+    """
 
     memory_bytes: int
     seconds: float
     nice: int = 5
+    job_seconds: float = 7 * 24 * 3600.0
 
     def __post_init__(self) -> None:
-        if self.memory_bytes <= 0 or self.seconds <= 0 or not 0 <= self.nice <= 19:
+        if min(self.memory_bytes, self.seconds, self.job_seconds) <= 0 or not 0 <= self.nice <= 19:
             raise ValueError("limits must be positive, nice in [0, 19]")
 
 
@@ -87,6 +91,7 @@ class ServiceSettings:
             limits=StageLimits(
                 int(_number(environment, "WIBAM_STAGE_MEMORY_GB", _most_of_the_memory() / _GB) * _GB),
                 _number(environment, "WIBAM_STAGE_HOURS", 6.0) * 3600.0,
+                job_seconds=_number(environment, "WIBAM_JOB_HOURS", 168.0) * 3600.0,
             ),
         )
 
@@ -102,6 +107,7 @@ class ServiceSettings:
             "WIBAM_CORS_ORIGINS": ",".join(self.cors_origins),
             "WIBAM_STAGE_MEMORY_GB": repr(self.limits.memory_bytes / _GB),
             "WIBAM_STAGE_HOURS": repr(self.limits.seconds / 3600.0),
+            "WIBAM_JOB_HOURS": repr(self.limits.job_seconds / 3600.0),
         }
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from wibam_core.config import PipelineConfig
 from wibam_core.costs import Footage, Machine, Pace, expected_s
-from wibam_core.errors import WibamError
+from wibam_core.errors import TooCostly, WibamError
 from wibam_core.job_kind import JobKind
 from wibam_core.jobs.records import Job, StageRun
 from wibam_core.jobs.states import StageState
@@ -65,6 +65,31 @@ def stage_remaining_s(stage: StageRun, pace: Pace, now: float) -> float | None:
     running = stage.state is StageState.RUNNING and stage.started_at is not None
     elapsed_s = now - stage.started_at if running and stage.started_at is not None else 0.0
     return pace.stage_left_s(stage.name, elapsed_s, stage.fraction if running else 0.0)
+
+
+def check_cost(job: Job, machine: Machine, allowed_s: float) -> None:
+    """Refuse a job that is expected to take too long. Before its recordings were looked at, nothing is expected.
+
+    Args:
+        job: as it stands.
+        machine: that works on it.
+        allowed_s: what is left of it may take so long.
+
+    Raises:
+        TooCostly: it is expected to take longer.
+    """
+    expected = _expected_s(job, machine)
+    left = {stage.name: expected.get(stage.name, 0.0) for stage in job.stages if not stage.state.has_outputs}
+    total_s = sum(left.values())
+    if total_s > allowed_s:
+        longest = max(left, key=left.__getitem__)
+        raise TooCostly(
+            f"the job would take about {total_s / 3600:.3g} h on this machine, {allowed_s / 3600:.3g} h are allowed; "
+            f"its stage {longest} alone takes {left[longest] / 3600:.3g} h",
+            expected_s=round(total_s),
+            allowed_s=round(allowed_s),
+            stages_s={name: round(seconds) for name, seconds in left.items()},
+        )
 
 
 def _expected_s(job: Job, machine: Machine) -> dict[str, float]:

@@ -206,6 +206,21 @@ class TestFailing:
         service.runner(replace(LIMITS, memory_bytes=1_000_000)).run(key(job))
         assert failure(service, job)["code"] == "stage_out_of_memory"
 
+    def test_a_job_that_would_take_too_long_is_refused_once_its_recordings_are_known(
+        self, service: Service, recording: Path
+    ) -> None:
+        job = service.job(recording, stages=3)
+        strict = service.runner(replace(LIMITS, job_seconds=1e-3))
+        assert strict.run(key(job))
+        assert strict.run(StageKey(job.id, "calibrate"))
+        error = failure(service, job)
+        assert error["code"] == "too_costly"
+        assert "h are allowed" in error["message"]
+        assert "WIBAM_JOB_HOURS" in error["hint"]
+        service.jobs.restart(job.id, job.options, plan_stages(job.site, job.options, job.files)[:3])
+        service.runner().run(StageKey(job.id, "calibrate"))
+        assert service.jobs.job(job.id).stages[1].state is not StageState.FAILED
+
     def test_too_much_time_is_named(self, service: Service, recording: Path) -> None:
         job = service.job(recording)
         service.runner(replace(LIMITS, seconds=1e-6)).run(key(job))
