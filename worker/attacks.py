@@ -22,6 +22,7 @@ from worker.process import LogLine, StageProcess
 ATTACKS: Mapping[str, str] = {
     "read_upload": "read a file of another job",
     "write_data": "write into the data folder",
+    "leave_link": "leave a link to a file of another job among its outputs",
     "read_environment": "read the worker's secrets from its environment",
     "read_memory": "read the worker's memory",
     "reach_network": "connect to a service on this machine",
@@ -58,6 +59,7 @@ def privileged():
 ATTACKS = {
     "read_upload": lambda: open(target["upload"]).read(),
     "write_data": lambda: open(target["data"] + "/written", "w").close(),
+    "leave_link": lambda: os.symlink(target["upload"], target["home"] + "/link"),
     "read_environment": lambda: open(f"/proc/{target['worker']}/environ", "rb").read(),
     "read_memory": lambda: open(f"/proc/{target['worker']}/mem", "rb").close(),
     "reach_network": lambda: connected(socket.AF_INET, ("127.0.0.1", target["port"])),

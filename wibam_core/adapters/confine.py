@@ -4,9 +4,10 @@ Run as a script, it imports next to nothing, so it costs a few milliseconds. Wha
 that asked for it, even if that one is killed. Options: ``--nice N``, ``--offline`` (no network, where the system
 lets us), ``--expendable`` (the first to go when the machine runs out of memory), ``--limited`` (no core dumps, no
 endless file, no more privileges than it has), ``--program=PATH``, ``--read=PATH``, ``--list=PATH`` and ``--write=PATH``
-(each any number of times): of all files, the program may run, read, list and write those beneath these paths alone, no
-process but its own children is within its reach, nor is a Unix socket (Landlock and seccomp, where the system has
-them). ``python confine.py --check-offline`` tells by its exit code whether ``--offline`` would do anything.
+(each any number of times): of all files, the program may run, read, list and write those beneath these paths alone, and
+make files and folders, but no links; no process but its own children is within its reach, nor is a Unix socket
+(Landlock and seccomp, where the system has them). ``python confine.py --check-offline`` tells by its exit code whether
+``--offline`` would do anything.
 """
 
 from __future__ import annotations
@@ -122,6 +123,8 @@ _LANDLOCK_CREATE_RULESET, _LANDLOCK_ADD_RULE, _LANDLOCK_RESTRICT_SELF = 444, 445
 _LANDLOCK_RULE_PATH_BENEATH = 1
 _EXECUTE, _WRITE_FILE, _READ_FILE, _READ_DIR = 1 << 0, 1 << 1, 1 << 2, 1 << 3
 _TRUNCATE, _IOCTL = 1 << 14, 1 << 15
+#: Making devices, sockets, pipes and symbolic links. Whoever reads outputs with more rights would follow a link there.
+_MAKE_SPECIAL = 1 << 6 | 1 << 9 | 1 << 10 | 1 << 11 | 1 << 12
 #: Rights that a file may have; all others are of folders.
 _OF_FILES = _EXECUTE | _WRITE_FILE | _READ_FILE | _TRUNCATE | _IOCTL
 #: All rights to files by version of Landlock: 2 added moving between folders, 3 truncating, 5 control of devices.
@@ -225,7 +228,8 @@ def _filter_calls() -> bool:
 def _rights(options: list[str]) -> list[tuple[str, int]]:
     """What the options leave of all files."""
     read = _READ_FILE | _READ_DIR
-    of = {"--program": read | _EXECUTE, "--read": read, "--list": _READ_DIR, "--write": _ALL_RIGHTS[5] & ~_EXECUTE}
+    write = _ALL_RIGHTS[5] & ~(_EXECUTE | _MAKE_SPECIAL)
+    of = {"--program": read | _EXECUTE, "--read": read, "--list": _READ_DIR, "--write": write}
     pairs = [option.partition("=") for option in options]
     return [(path, of[name]) for name, _, path in pairs if name in of]
 

@@ -41,7 +41,7 @@ def test_every_attack_succeeds_where_nothing_confines(monkeypatch: pytest.Monkey
 
     monkeypatch.setattr(StageProcess, "confined", free)
     held = attacks.kept_out()
-    for name in ("read_upload", "write_data", "reach_network", "reach_socket", "signal_worker"):
+    for name in ("read_upload", "write_data", "leave_link", "reach_network", "reach_socket", "signal_worker"):
         assert not held[name], name
     said = attacks.report(held)
     assert "SUCCEEDS  read a file of another job" in said and "people whom you" in said
