@@ -47,6 +47,7 @@ class Housekeeper:
             services.site_tracks.tidy()
             services.stages.sweep(services.leases.running_hashes)
             services.folder.tidy_clips(services.clips.ids)
+            services.folder.tidy_models(services.models.ids)
 
     def _run(self) -> None:
         number = 0

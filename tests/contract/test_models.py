@@ -88,6 +88,30 @@ class TestModels:
         assert got.headers["ETag"] == f'"{model["sha256"]}"'
         assert api.http.get(f"/v1/models/{model['id']}/file", params={"format": "onnx"}).status_code == 404
 
+    def test_a_deleted_one_comes_back_only_where_it_is_asked_for(self, api: LiveApi) -> None:
+        site = api.site(cameras=1)
+        api.upload(site, b"not looked at", "cam1")
+        job = api.http.post(f"/v1/sites/{site}/jobs", json={}).json()["id"]
+        publish(api, job, made(weights=bundled("mono_small.safetensors").read_bytes()))
+        (first,) = api.http.get("/v1/models", params={"site": site}).json()
+        assert api.http.delete(f"/v1/models/{first['id']}").status_code == 204
+        assert api.http.get("/v1/models", params={"site": site}).json() == []
+        assert api.http.get(f"/v1/models/{first['id']}").status_code == 404
+        assert not api.services.folder.model(first["id"]).exists()
+        asked = api.http.post("/v1/models", json={"job_id": job})
+        assert (asked.status_code, asked.json()["version"]) == (201, 2)
+        assert [one["id"] for one in api.http.get("/v1/models", params={"site": site}).json()] == [asked.json()["id"]]
+
+    def test_folders_of_networks_that_nobody_knows_are_tidied(self, api: LiveApi, model: dict) -> None:
+        folder = api.services.folder
+        interrupted = folder.root / "models" / "model_0123456789abcdef.partial"
+        interrupted.mkdir()
+        folder.tidy_models(api.services.models.ids)
+        assert interrupted.exists(), "it may be on its way"
+        folder.tidy_models(api.services.models.ids, older_than_s=-1.0)
+        assert not interrupted.exists()
+        assert folder.model(model["id"]).exists()
+
     def test_one_at_most_is_promoted(self, api: LiveApi, model: dict) -> None:
         path = f"/v1/models/{model['id']}"
         assert api.http.patch(path, json={"state": "promoted"}).json()["state"] == "promoted"

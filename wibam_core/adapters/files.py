@@ -81,14 +81,31 @@ class DataFolder:
         there = [path for path in (self.root / "clips").iterdir() if _unchanged_since(path, limit)]
         ids = known()
         for path in there:
-            if path.is_dir():
+            if not path.is_dir():
+                if path.stem not in ids:
+                    path.unlink(missing_ok=True)
+                continue
+            files = [Path(folder) / name for folder, _, names in os.walk(path) for name in names]
+            if all(_unchanged_since(file, limit) for file in files):  # else it is being rendered
                 shutil.rmtree(path, ignore_errors=True)
-            elif path.stem not in ids:
-                path.unlink(missing_ok=True)
 
     def model(self, model_id: str) -> Path:
         """The folder of a network: what is in it, `wibam_core.adapters.model_keeping` knows."""
         return self.root / "models" / _plain(model_id)
+
+    def tidy_models(self, known: Callable[[], Collection[str]], older_than_s: float = 3600.0) -> None:
+        """Remove the folders of networks that nobody knows, as where keeping one was interrupted.
+
+        Args:
+            known: the ids of all networks, asked for once the folders are listed.
+            older_than_s: what is younger may be a network that is being kept.
+        """
+        limit = time.time() - older_than_s
+        there = [path for path in (self.root / "models").iterdir() if _unchanged_since(path, limit)]
+        ids = known()
+        for path in there:
+            if path.name not in ids:
+                shutil.rmtree(path, ignore_errors=True)
 
     @property
     def site_tracks(self) -> Path:

@@ -23,7 +23,8 @@ from wibam_core.adapters.job_rows import (
     settle_job,
     stage_rows,
 )
-from wibam_core.adapters.models import EventRow, FileRow, JobFileRow, JobRow, SiteRow, StageRow, TrainedModelRow
+from wibam_core.adapters.model_store import model_row
+from wibam_core.adapters.models import EventRow, FileRow, JobFileRow, JobRow, SiteRow, StageRow
 from wibam_core.adapters.planning import made_anew
 from wibam_core.errors import Conflict, NotFound
 from wibam_core.job_kind import JobKind
@@ -97,8 +98,8 @@ class JobStore:
                 model_id=None if run is None else run.model_id,
                 continues=None if run is None else run.continues,
             )
-            if run is not None and session.get(TrainedModelRow, run.model_id) is None:
-                raise NotFound(f"there is no model {run.model_id}", hint="List the models to see their ids.")
+            if run is not None:
+                model_row(session, run.model_id)
             session.add(row)
             session.flush()
             session.add_all(JobFileRow(job_id=row.id, file_id=file.id) for file in files)

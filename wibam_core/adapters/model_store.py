@@ -6,7 +6,7 @@ import time
 from collections.abc import Callable, Collection
 from dataclasses import dataclass
 
-from sqlalchemy import func, select, update
+from sqlalchemy import delete, func, select, update
 from sqlalchemy.exc import IntegrityError
 from sqlalchemy.orm import Session
 
@@ -20,6 +20,8 @@ from wibam_core.jobs.records import ModelState, TrainedModel
 from wibam_core.jobs.states import JobState, StageState
 
 _TERMINAL = [state.value for state in JobState if state.is_terminal]
+#: The row of a deleted network of a job stays, so that the job's is not kept again by itself.
+_DELETED = "deleted"
 _WITH_OUTPUTS = [state.value for state in StageState if state.has_outputs]
 
 
@@ -56,14 +58,16 @@ class ModelStore:
 
     def add(self, model: NewModel) -> TrainedModel | None:
         """Keep a network as the next version of its site's; None where the same one of its job is kept already."""
+        same = (TrainedModelRow.job_id == model.job_id) & (TrainedModelRow.stage_hash == model.stage_hash)
         try:
             with self._database.writing(exclusive=True) as session:
                 latest = session.scalar(
                     select(func.max(TrainedModelRow.version)).where(TrainedModelRow.site_id == model.site_id)
                 )
+                session.execute(delete(TrainedModelRow).where(same, TrainedModelRow.state == _DELETED))
                 row = TrainedModelRow(
                     id=model.id,
-                    name=records.plain_text(model.name),
+                    name=records.plain_text(model.name)[:200],
                     site_id=model.site_id,
                     version=(latest or 0) + 1,
                     state=ModelState.CANDIDATE.value,
@@ -103,7 +107,8 @@ class ModelStore:
         Raises:
             NotFound: there is no network ``after``.
         """
-        newest = select(TrainedModelRow).order_by(TrainedModelRow.created_at.desc(), TrainedModelRow.id).limit(limit)
+        newest = select(TrainedModelRow).where(TrainedModelRow.state != _DELETED)
+        newest = newest.order_by(TrainedModelRow.created_at.desc(), TrainedModelRow.id).limit(limit)
         if site_id is not None:
             newest = newest.where(TrainedModelRow.site_id == site_id)
         if job_id is not None:
@@ -112,7 +117,7 @@ class ModelStore:
             newest = newest.where(TrainedModelRow.state.in_([state.value for state in states]))
         with self._database.reading() as session:
             if after is not None:
-                last = _row(session, after)
+                last = model_row(session, after)
                 older = TrainedModelRow.created_at < last.created_at
                 same = (TrainedModelRow.created_at == last.created_at) & (TrainedModelRow.id > last.id)
                 newest = newest.where(older | same)
@@ -123,7 +128,7 @@ class ModelStore:
         NotFound: there is no such network.
         """
         with self._database.reading() as session:
-            return records.trained_model(_row(session, model_id))
+            return records.trained_model(model_row(session, model_id))
 
     def promoted(self, site_id: str) -> TrainedModel:
         """The network to use for a site.
@@ -138,7 +143,8 @@ class ModelStore:
 
     def of_file(self, sha256: str) -> TrainedModel | None:
         """A network with this file, the oldest."""
-        oldest = select(TrainedModelRow).where(TrainedModelRow.sha256 == sha256).order_by(TrainedModelRow.created_at)
+        kept = (TrainedModelRow.sha256 == sha256) & (TrainedModelRow.state != _DELETED)
+        oldest = select(TrainedModelRow).where(kept).order_by(TrainedModelRow.created_at)
         with self._database.reading() as session:
             row = session.scalar(oldest.limit(1))
             return None if row is None else records.trained_model(row)
@@ -152,7 +158,7 @@ class ModelStore:
             NotFound: there is no such network.
         """
         with self._database.writing(exclusive=True) as session:
-            row = _row(session, model_id)
+            row = model_row(session, model_id)
             if name is not None:
                 row.name = records.plain_text(name)
             if state is ModelState.PROMOTED:
@@ -165,23 +171,31 @@ class ModelStore:
             return records.trained_model(row)
 
     def delete(self, model_id: str) -> None:
-        """Forget a network; its files may go then.
+        """Forget a network; its files may go then. That of a job comes back only where somebody asks for it.
 
         Raises:
             NotFound: there is no such network.
             Conflict: a run that has not ended works with it.
         """
         with self._database.writing(exclusive=True) as session:
-            row = _row(session, model_id)
+            row = model_row(session, model_id)
             using = session.scalar(
                 select(JobRow.id).where(JobRow.model_id == model_id, JobRow.state.not_in(_TERMINAL)).limit(1)
             )
             if using is not None:
                 raise Conflict(f"run {using} works with model {model_id}", hint="Cancel it first, or wait.", run=using)
-            session.delete(row)
+            if row.job_id is None:
+                session.delete(row)
+            else:
+                row.state = _DELETED
+
+    def ids(self) -> set[str]:
+        """Of all networks."""
+        with self._database.reading() as session:
+            return set(session.scalars(select(TrainedModelRow.id).where(TrainedModelRow.state != _DELETED)))
 
     def jobs_to_keep(self, limit: int = 100) -> list[tuple[str, str]]:
-        """Jobs that have trained, evaluated and used a network which is not kept yet, the newest first.
+        """Jobs that have trained, evaluated and used a network which is neither kept nor deleted, the newest first.
 
         Of each its id, and the address of what fine-tuning has made.
         """
@@ -211,8 +225,11 @@ class ModelStore:
             return [(job_id, stage_hash) for job_id, stage_hash in session.execute(wanted)]
 
 
-def _row(session: Session, model_id: str) -> TrainedModelRow:
+def model_row(session: Session, model_id: str) -> TrainedModelRow:
+    """Raises:
+    NotFound: there is no such network.
+    """
     row = session.get(TrainedModelRow, model_id)
-    if row is None:
+    if row is None or row.state == _DELETED:
         raise NotFound(f"there is no model {model_id}", hint="List the models to see their ids.")
     return row

@@ -251,7 +251,8 @@ class ClipRow(Base):
 class TrainedModelRow(Base):
     """A network that is kept, whatever becomes of the job that made it, or of its site.
 
-    ``stage_hash`` is the address of the outputs of fine-tuning; ``version`` counts the networks of a site.
+    ``stage_hash`` is the address of the outputs of fine-tuning; ``version`` counts the networks of a site. That of a
+    job which was deleted stays as a row with the state "deleted".
     """
 
     __tablename__ = "trained_models"

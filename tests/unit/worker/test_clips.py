@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import os
+import time
 from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
@@ -137,6 +139,18 @@ def test_lost_workers_and_lost_messages_are_found(api: LiveApi, job: str) -> Non
     assert clips.claim(forgotten.id, "a worker that is known to be gone") is not None
     assert clips.reap(gone=["another"]) == []
     assert clips.reap(gone=["a worker that is known to be gone"]) == [forgotten.id]
+
+
+def test_a_rendering_that_lasts_long_is_not_tidied_away(api: LiveApi, job: str) -> None:
+    hours_ago = time.time() - 7200
+    with api.services.folder.clip_workspace("clip_" + "1" * 16) as home:
+        (Path(home) / "clip.mp4").write_bytes(b"so far")
+        os.utime(home, (hours_ago, hours_ago))
+        api.services.folder.tidy_clips(api.services.clips.ids)
+        assert (Path(home) / "clip.mp4").exists()
+        os.utime(Path(home) / "clip.mp4", (hours_ago, hours_ago))
+        api.services.folder.tidy_clips(api.services.clips.ids)
+        assert not Path(home).exists()
 
 
 def test_files_that_nobody_knows_are_tidied(api: LiveApi, job: str, tmp_path: Path) -> None:
