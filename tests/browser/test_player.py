@@ -68,6 +68,23 @@ class TestFilterIsTheApis:
         assert 0 < len(found["kept"]) <= 100
 
 
+def test_boxes_move_along_their_tracks_to_when_a_frame_was_exposed(signed_in: Visit) -> None:
+    moved = """async ([states, times]) => {
+      const { Tracks } = await import("/static/js/trackdata.js");
+      const tracks = new Tracks(states);
+      return times.map((time) => tracks.moved(states[1], time));
+    }"""
+    rows = [(0, 0.0, 0.0, 3.1), (200_000_000, 2.0, 1.0, -3.1), (300_000_000, 3.0, 3.0, -3.0)]
+    states = [{"time_ns": t, "track_id": 7, "x_m": x, "y_m": y, "z_m": 0.8, "yaw_rad": yaw} for t, x, y, yaw in rows]
+    times = [200_000_000, 100_000_000, 250_000_000, 350_000_000]
+    same, before, after, beyond = signed_in.page.evaluate(moved, [states, times])
+    assert same == states[1]
+    assert (before["x_m"], before["y_m"]) == pytest.approx((1.0, 0.5))
+    assert abs(before["yaw_rad"]) == pytest.approx(3.14159, abs=1e-4), "it turns the shorter way"
+    assert (after["x_m"], after["y_m"], after["yaw_rad"]) == pytest.approx((2.5, 2.0, -3.05))
+    assert (beyond["x_m"], beyond["y_m"], beyond["time_ns"]) == pytest.approx((3.5, 4.0, 350_000_000))
+
+
 def test_a_clip_of_what_is_shown_is_asked_for_and_taken(signed_in: Visit, api: LiveApi) -> None:
     job = clip_job(api)
     page = signed_in.open(f"/jobs/{job}/player")

@@ -145,6 +145,29 @@ def test_a_camera_is_calibrated_by_clicks_and_a_job_is_started(
     assert job["options"] == {"finetune": {"steps": 40}}
 
 
+def test_what_a_region_shows_stays_when_another_is_drawn(signed_in: Visit, recordings: list[Path]) -> None:
+    make_site(signed_in, "two heads")
+    page = signed_in.page
+    page.locator("input#files").set_input_files(recordings)
+    page.get_by_text("640 × 360 px").nth(1).wait_for()
+    page.get_by_role("link", name="Calibrate and signals").first.click()
+    page.get_by_text("0 of at least 4 points").wait_for()
+    page.get_by_label("draws a signal region").check()
+    box = page.locator("#frame").bounding_box()
+    assert box is not None
+    shown = page.locator("#signals").get_by_text("No change was seen")  # the recording is noise
+    for number, left in enumerate((100, 220)):
+        page.mouse.move(box["x"] + left, box["y"] + 40)
+        page.mouse.down()
+        page.mouse.move(box["x"] + left + 30, box["y"] + 110, steps=4)
+        page.mouse.up()
+        shown.nth(number).wait_for()
+    page.get_by_role("button", name="Add a region").click()
+    assert shown.count() == 2
+    page.get_by_role("button", name="Remove region 1").click()
+    assert shown.count() == 1
+
+
 def test_files_of_other_programs_are_read_into_the_page(signed_in: Visit, camera: Camera, tmp_path: Path) -> None:
     make_site(signed_in, "files")
     page = signed_in.page

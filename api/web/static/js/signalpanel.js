@@ -11,6 +11,8 @@ export class SignalPanel {
   /** @param {any[]} signals of the site's document @param {string|null} recording its address @param {() => void} changed @param {() => number} now the time shown, s */
   constructor(signals, recording, changed, now) {
     this.signals = signals.map((signal) => ({ id: signal.id, region: [...signal.region] }));
+    /** What is known of each region's states, drawn: it moves into the list whenever that is made anew. @type {WeakMap<any, HTMLElement>} */
+    this.strips = new WeakMap();
     this.recording = recording;
     this.changed = changed;
     this.now = now;
@@ -66,20 +68,29 @@ export class SignalPanel {
       h("div.row", null, h("label", null, "Phase ", id), h("label", null, "x, y, width, height ", box),
         h("button.small", { type: "button", disabled: !this.recording, onclick: () => this.look(index) }, "What does it show?"),
         h("button.small.quiet", { type: "button", "aria-label": `Remove region ${index + 1}`, onclick: () => { this.signals.splice(index, 1); this.selected = -1; this.show(); this.changed(); } }, "×")),
-      h("div.strip-place", { "data-region": index, "aria-live": "polite" }));
+      this.strip(signal));
+  }
+
+  /** Where a region's states are shown. @param {any} signal @returns {HTMLElement} */
+  strip(signal) {
+    const place = this.strips.get(signal) ?? h("div.strip-place", { "aria-live": "polite" });
+    this.strips.set(signal, place);
+    return place;
   }
 
   /** Ask what the region shows for a minute from the time shown. @param {number} index */
   look(index) {
-    const place = byId("signals").querySelector(`[data-region="${index}"]`), signal = this.signals[index];
-    if (!place || !this.recording) return;
+    const signal = this.signals[index];
+    if (!signal || !this.recording) return;
+    const place = this.strip(signal), region = signal.region.join(",");
+    const current = () => region === signal.region.join(","); // a region that was changed meanwhile has its own answer
     fill(place, h("p.note", null, "Looking …"));
     attempt(async () => {
       try {
-        const strip = await get(`${this.recording}/signal${query({ region: signal.region.join(","), start_s: Math.max(0, this.now()), duration_s: LENGTH_S })}`);
-        fill(place, stripOf(strip));
+        const strip = await get(`${this.recording}/signal${query({ region, start_s: Math.max(0, this.now()), duration_s: LENGTH_S })}`);
+        if (current()) fill(place, stripOf(strip));
       } catch (error) {
-        fill(place);
+        if (current()) fill(place);
         throw error;
       }
     });

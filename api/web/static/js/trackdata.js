@@ -76,6 +76,20 @@ export class Tracks {
     return Math.max(0, low - 1);
   }
 
+  /**
+   * A state moved along its own track to a time nearby: between two states of it, and beyond its ends as between the two there.
+   * @param {State} state @param {number} timeNs @returns {State}
+   */
+  moved(state, timeNs) {
+    const own = this.byTrack.get(state.track_id) ?? [];
+    if (timeNs === state.time_ns || own.length < 2) return state;
+    let low = 1, high = own.length - 1;
+    while (low < high) { const middle = (low + high) >> 1; if (own[middle].time_ns < timeNs) low = middle + 1; else high = middle; }
+    const a = own[low - 1], b = own[low], share = (timeNs - a.time_ns) / (b.time_ns - a.time_ns);
+    const turn = Math.atan2(Math.sin(b.yaw_rad - a.yaw_rad), Math.cos(b.yaw_rad - a.yaw_rad)), between = (/** @type {number} */ from, /** @type {number} */ to) => from + share * (to - from);
+    return { ...state, time_ns: timeNs, x_m: between(a.x_m, b.x_m), y_m: between(a.y_m, b.y_m), z_m: between(a.z_m, b.z_m), yaw_rad: a.yaw_rad + share * turn };
+  }
+
   /** States of a track within a stretch up to a time. @param {number} trackId @param {number} untilNs @param {number} lengthNs @returns {State[]} */
   trail(trackId, untilNs, lengthNs) {
     const states = this.byTrack.get(trackId) ?? [];

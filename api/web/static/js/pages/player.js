@@ -43,6 +43,18 @@ function frameAt(camera, timeNs) {
   return best;
 }
 
+/** When a camera exposed its frame of an instant. @param {string} camera @param {number} instant @returns {number} */
+function exposedAt(camera, instant) {
+  let low = 0, high = instants.length;
+  while (low < high) { const middle = (low + high) >> 1; if (instants[middle] < instant) low = middle + 1; else high = middle; }
+  return frameTimes[camera]?.[low] ?? instant;
+}
+
+/** What is shown now, where it was when a camera exposed the frame beside it. @param {string} camera @param {number|null} instant of that frame @returns {import("../trackdata.js").State[]} */
+function statesIn(camera, instant) {
+  return instant === null ? states : states.map((state) => tracks.moved(state, exposedAt(camera, instant)));
+}
+
 /** Ask for what is shown and what comes next. */
 function fetchAhead() {
   /** @type {Array<[string, number]>} */
@@ -74,7 +86,7 @@ function drawNow() {
   const now = shown();
   for (const camera of cameras) {
     const at = frameAt(camera.id, time), canvas = canvases.get(camera.id);
-    if (canvas) drawFrame(canvas, camera, at === null ? null : cache.get(camera.id, at), now, byId("boxes").checked);
+    if (canvas) drawFrame(canvas, camera, at === null ? null : cache.get(camera.id, at), { ...now, states: statesIn(camera.id, at) }, byId("boxes").checked);
   }
   performance.measure("draw", { start, end: performance.now() });
   if (performance.getEntriesByName("draw").length > KEPT_MEASURES) performance.clearMeasures("draw");
@@ -184,7 +196,7 @@ function clickPlan(world) {
 function clickView(camera, event) {
   const canvas = /** @type {HTMLCanvasElement} */ (event.currentTarget), box = canvas.getBoundingClientRect();
   const u = ((event.clientX - box.left) / box.width) * camera.width, v = ((event.clientY - box.top) / box.height) * camera.height;
-  const hits = states.map((state) => ({ state, around: camera.boxAround(boxOf(state)) })).filter(({ around }) => around && u >= around[0] && u <= around[2] && v >= around[1] && v <= around[3]);
+  const hits = statesIn(camera.id, frameAt(camera.id, tracks.times[index] ?? 0)).map((state) => ({ state, around: camera.boxAround(boxOf(state)) })).filter(({ around }) => around && u >= around[0] && u <= around[2] && v >= around[1] && v <= around[3]);
   hits.sort((a, b) => Math.hypot(a.state.x_m - camera.centre[0], a.state.y_m - camera.centre[1]) - Math.hypot(b.state.x_m - camera.centre[0], b.state.y_m - camera.centre[1]));
   choose(hits[0]?.state.track_id ?? null);
 }
