@@ -48,7 +48,8 @@ class _Candidates:
         belief: about each when it was seen last. times_ns: (C,) when that was.
         boxes: (C, 7) then, of the size that it has.
         votes: (C, classes). sizes: (C, _LATEST_SIZES, 3) of its latest boxes, infinite where there were fewer.
-        hits: all that was seen of each.
+        seen: (C,) how often each was seen in all.
+        hits: what was seen of each, as far as it is remembered: at least the last.
     """
 
     belief: Belief
@@ -56,6 +57,7 @@ class _Candidates:
     boxes: Array
     votes: Array
     sizes: Array
+    seen: Indices
     hits: tuple[list[Hit], ...]
 
     @classmethod
@@ -66,6 +68,7 @@ class _Candidates:
             np.empty((0, 7)),
             np.empty((0, len(CLASSES))),
             np.empty((0, _LATEST_SIZES, 3)),
+            np.empty(0, np.int64),
             (),
         )
 
@@ -80,6 +83,7 @@ class _Candidates:
             boxes,
             votes,
             sizes,
+            np.ones(len(columns), np.int64),
             tuple([_hit(time_ns, fused, column)] for column in columns.tolist()),
         )
 
@@ -92,11 +96,6 @@ class _Candidates:
     def model(self) -> MotionModel:
         return model_of(self.classes, self.boxes[:, LENGTH])
 
-    @property
-    def seen(self) -> Indices:
-        """(C,) how often each was seen."""
-        return np.array([len(hits) for hits in self.hits], np.int64)
-
     def where(self, keep: NDArray[np.bool_]) -> _Candidates:
         return _Candidates(
             self.belief.where(keep),
@@ -104,6 +103,7 @@ class _Candidates:
             self.boxes[keep],
             self.votes[keep],
             self.sizes[keep],
+            self.seen[keep],
             tuple(hits for hits, kept in zip(self.hits, keep, strict=True) if kept),
         )
 
@@ -117,6 +117,7 @@ class _Candidates:
             np.concatenate([self.boxes, more.boxes]),
             np.concatenate([self.votes, more.votes]),
             np.concatenate([self.sizes, more.sizes]),
+            np.concatenate([self.seen, more.seen]),
             self.hits + more.hits,
         )
 
@@ -130,6 +131,7 @@ class _Candidates:
             "boxes": self.boxes,
             "votes": self.votes,
             "sizes": self.sizes,
+            "seen": self.seen,
             "hits": np.array([len(of_one) for of_one in self.hits], np.int64),
             "hit_times_ns": np.array([hit.time_ns for hit in hits], np.int64),
             **{
@@ -164,6 +166,7 @@ class _Candidates:
             arrays["boxes"].copy(),
             arrays["votes"].copy(),
             arrays["sizes"].copy(),
+            arrays["seen"].copy(),
             tuple(every[first:last] for first, last in pairwise([0, *ends])),
         )
 
@@ -176,6 +179,7 @@ class _Candidates:
         self.sizes[rows, self.seen[rows] % _LATEST_SIZES] = fused.boxes[columns, SIZE]
         for row, column in zip(rows.tolist(), columns.tolist(), strict=True):
             self.hits[row].append(_hit(time_ns, fused, column))
+        self.seen[rows] += 1
         self.boxes[rows] = fused.boxes[columns]
         self.boxes[rows, SIZE] = _medians(self.sizes[rows], np.minimum(self.seen[rows], _LATEST_SIZES))
         # of those that are taken for another class now, the states of its model of motion may mean other things

@@ -181,3 +181,23 @@ def test_what_is_no_stream_is_refused(tmp_path: Path) -> None:
         np.savez(file, **(arrays | {"boxes": arrays["boxes"][:, :5]}))
     with pytest.raises(InputError, match="boxes has shape"):
         read_stream(path, TrackConfig())
+
+
+def test_who_stands_is_waited_for_and_as_large_though_what_was_seen_first_is_forgotten() -> None:
+    sizes: list[np.ndarray] = []
+    for forgotten in (0, 39):
+        tracker = Tracker(TrackConfig())
+        detections = seen([parked(3.0, 5.0)], 10.0)
+        for number, (_, found) in enumerate(detections):  # larger and larger boxes
+            found.boxes[:, 3] = 4.0 + 0.01 * number
+        for time_ns, found in detections[:40]:
+            tracker.step(time_ns, [found])
+        (hits,) = tracker.active
+        del hits[:forgotten]
+        for time_ns, found in detections[40:49]:
+            tracker.step(time_ns, [found.where(np.zeros(1, bool))])
+        assert tracker.active == (hits,), "hidden for longer than somebody who drives may be"
+        tracker.step(detections[49][0], [detections[49][1]])
+        assert tracker.active == (hits,) and hits[-1].time_ns == detections[49][0]
+        sizes.append(tracker.to_arrays()["boxes"][:, 3])
+    np.testing.assert_array_equal(sizes[0], sizes[1])
