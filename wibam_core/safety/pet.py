@@ -6,6 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.spatial import cKDTree
 
 from wibam_core.geometry.box3d import SIZE_XY, XY, YAW
 from wibam_core.geometry.se3 import normalise_angle
@@ -173,9 +174,10 @@ def courses_differ(
         j: (P,) moments of b.
         least_rad: of the difference.
     """
-    gaps2 = ((boxes_a[:, None, XY] - boxes_b[None, :, XY]) ** 2).sum(axis=-1)
-    yaw_a, yaw_b = boxes_a[:, YAW], boxes_b[:, YAW]
-    b_there, a_there = yaw_b[gaps2.argmin(axis=1)], yaw_a[gaps2.argmin(axis=0)]
+    place_a, yaw_a = boxes_a[:, XY], boxes_a[:, YAW]
+    place_b, yaw_b = boxes_b[:, XY], boxes_b[:, YAW]
+    # trees, since all gaps between two who stood for minutes before they drove would not fit into memory
+    b_there, a_there = yaw_b[cKDTree(place_b).query(place_a)[1]], yaw_a[cKDTree(place_a).query(place_b)[1]]
     pairs = ((yaw_a[i], yaw_b[j]), (yaw_a[i], b_there[i]), (a_there[j], yaw_b[j]))
     return np.asarray(np.all([np.abs(normalise_angle(one - other)) >= least_rad for one, other in pairs], axis=0))
 

@@ -107,7 +107,6 @@ def solve(samples: Samples, centre_s: float, drift: float) -> tuple[Array, Array
     first = np.flatnonzero(np.diff(samples.road_user, prepend=-1))
     model = _Model.of(design, observed, _own(samples), first, np.array([0.0, -drift]))
     weight = np.ones(len(first))
-    weight = np.ones(len(first))
     for _ in range(_ROUNDS):
         tried = [model.solved(weight, own, spread) for own in _OWN for spread in _FIELD]
         odds = np.exp([one.likely - max(other.likely for other in tried) for one in tried])
