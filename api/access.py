@@ -16,10 +16,12 @@ PAGE: Final = "page"
 #: A browser with a link to one job, which it may read.
 GUEST: Final = "guest"
 SAFE = ("GET", "HEAD")
+#: The header that names a request.
+REQUEST_ID: Final = "X-Request-ID"
 _ANY = ("GET", "HEAD", "POST", "PUT", "PATCH", "DELETE")
 #: The first line that fits decides; what fits none is the administrator's.
 _RULES: tuple[tuple[tuple[str, ...], str, Scope], ...] = (
-    (_ANY, r"/v1/(keys|audit|webhooks)(/.*)?", Scope.ADMIN),
+    (_ANY, r"/v1/(keys|audit)(/.*)?", Scope.ADMIN),
     (_ANY, r"/v1/uploads(/.*)?", Scope.UPLOAD),
     (SAFE, r"/v1/.*", Scope.READ),
     (_ANY, r"/v1/calibration/.*|/v1/(sites|jobs)/[^/]+/plan", Scope.READ),

@@ -13,7 +13,7 @@ from fastapi.openapi.utils import get_openapi
 from starlette.concurrency import run_in_threadpool
 from starlette.middleware.cors import CORSMiddleware
 
-from api.access import needed_scope
+from api.access import REQUEST_ID, needed_scope
 from api.housekeeping import Housekeeper
 from api.problems import Problem, add_handlers, documented
 from api.routes import (
@@ -35,7 +35,7 @@ from api.routes import (
 from api.security import Gate
 from api.services import Services
 from api.sessions import SESSION_COOKIE
-from api.telemetry import REQUEST_ID, Telemetry
+from api.telemetry import Telemetry
 from api.tus import TUS_RESPONSE_HEADERS, TusHeaders
 from api.web.pages import add_pages
 from wibam_core import __version__

@@ -16,7 +16,7 @@ from starlette.exceptions import HTTPException
 from starlette.responses import JSONResponse
 from starlette.routing import Match
 
-from api.access import current_visit
+from api.access import REQUEST_ID, current_visit
 from wibam_core.errors import InputError, ServiceUnavailable, WibamError
 
 MEDIA_TYPE = "application/problem+json"
@@ -86,6 +86,7 @@ class Problem(BaseModel):
 def problem(error: WibamError, status: int | None = None, headers: Mapping[str, str] | None = None) -> JSONResponse:
     """An error as a response."""
     status = status_of(error) if status is None else status
+    request_id = visit.request_id if (visit := current_visit.get()) is not None else ""
     body = Problem(
         type=f"urn:wibam:problem:{error.code}",
         title=_title(status),
@@ -94,9 +95,11 @@ def problem(error: WibamError, status: int | None = None, headers: Mapping[str, 
         code=error.code,
         hint=error.hint,
         details=jsonable_encoder(error.details),
-        request_id=visit.request_id if (visit := current_visit.get()) is not None else "",
+        request_id=request_id,
     )
     headers = dict(headers or {})
+    if request_id:
+        headers[REQUEST_ID] = request_id  # what fails unforeseen is answered outside of all that sets it otherwise
     if status == 401:
         headers["WWW-Authenticate"] = "Bearer"
     return JSONResponse(body.model_dump(), status, headers, MEDIA_TYPE)
@@ -105,6 +108,12 @@ def problem(error: WibamError, status: int | None = None, headers: Mapping[str, 
 def status_of(error: WibamError) -> int:
     """The HTTP status of an error of the core."""
     return STATUS.get(error.code, 422 if isinstance(error, InputError) else 500)
+
+
+def database_problem(error: Exception) -> JSONResponse:
+    """What a user learns where the database does not answer; the log learns the rest."""
+    _log.error("the database failed", exc_info=error)
+    return problem(ServiceUnavailable("the database does not answer", hint="Try again in a moment."))
 
 
 def documented(*statuses: int) -> dict[int | str, dict[str, Any]]:
@@ -159,8 +168,7 @@ async def _http_error(request: Request, error: Exception) -> JSONResponse:
 
 
 async def _database_error(request: Request, error: Exception) -> JSONResponse:
-    _log.error("the database failed", exc_info=error)
-    return problem(ServiceUnavailable("the database does not answer", hint="Try again in a moment."))
+    return database_problem(error)
 
 
 async def _unexpected(request: Request, error: Exception) -> JSONResponse:

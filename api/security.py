@@ -7,13 +7,14 @@ import hmac
 import time
 from urllib.parse import unquote_to_bytes
 
+from sqlalchemy.exc import OperationalError
 from starlette.concurrency import run_in_threadpool
 from starlette.datastructures import Headers
 from starlette.exceptions import HTTPException
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
 from api.access import GUEST, PAGE, SAFE, TOKEN, needed_scope, visit_of
-from api.problems import problem
+from api.problems import database_problem, problem
 from api.sessions import PAGE_HEADER, Passes, parse_cookies
 from wibam_core.adapters.key_store import PREFIX, KeyStore
 from wibam_core.adapters.settings import token_digest
@@ -89,8 +90,10 @@ class Gate:
             except WibamError as refusal:
                 await problem(refusal)(scope, receive, send)
                 return
-            if (visit := visit_of(scope)) is not None:
-                visit.who = who
+            except OperationalError as error:
+                await database_problem(error)(scope, receive, send)
+                return
+            _is(scope, who)
         if (senseless := _nul(scope)) is not None:
             await problem(senseless)(scope, receive, send)
             return
@@ -135,6 +138,7 @@ class Gate:
             if key is not None:
                 needed = needed_scope(scope["method"], scope["path"])
                 if not key.may(needed):
+                    _is(scope, key.id)  # what a key is refused is told, too
                     raise Forbidden(
                         f"the key {key.id} has no scope {needed}",
                         hint=f"This takes a key with the scope {needed}: {needed.meaning}.",
@@ -168,6 +172,11 @@ class Gate:
             f"the body is larger than {self._max_body_bytes / 1e6:g} MB",
             hint="Send files in pieces through /v1/uploads (tus); only they may be larger.",
         )
+
+
+def _is(scope: Scope, who: str) -> None:
+    if (visit := visit_of(scope)) is not None:
+        visit.who = who
 
 
 class BodyTooSlow(HTTPException):

@@ -11,10 +11,9 @@ from starlette.concurrency import run_in_threadpool
 from starlette.datastructures import Headers, MutableHeaders
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
-from api.access import SAFE, Visit, begin_visit, current_visit
+from api.access import REQUEST_ID, SAFE, Visit, begin_visit, current_visit
 from wibam_core.adapters.audit_store import AuditStore
 
-REQUEST_ID = "X-Request-ID"
 _PLAIN = re.compile(r"[A-Za-z0-9._-]{1,64}")
 _PIECE_OF_AN_UPLOAD = re.compile(r"/v1/uploads/[^/]+")
 _NO_CHANGE = re.compile(r"/v1/calibration/.*|/v1/(sites|jobs)/[^/]+/plan")
@@ -43,20 +42,27 @@ class Telemetry:
         asked = Headers(scope=scope).get(REQUEST_ID, "")
         visit = Visit(asked if _PLAIN.fullmatch(asked) else secrets.token_hex(8))
         begin_visit(scope, visit)
-        status = 500
+        status, noted = 500, False
+
+        async def note_once() -> None:
+            nonlocal noted
+            if not noted and visit.who and _changes(scope):
+                noted = True
+                await run_in_threadpool(self._note, scope, visit, status)
 
         async def send_with_id(message: Message) -> None:
             nonlocal status
             if message["type"] == "http.response.start":
                 status = message["status"]
                 MutableHeaders(scope=message)[REQUEST_ID] = visit.request_id
+            elif not message.get("more_body", False):
+                await note_once()  # whoever has the answer finds the line
             await send(message)
 
         try:
             await self._app(scope, receive, send_with_id)
         finally:
-            if visit.who and _changes(scope):
-                await run_in_threadpool(self._note, scope, visit, status)
+            await note_once()
 
     def _note(self, scope: Scope, visit: Visit, status: int) -> None:
         what = f"{scope['method']} {scope['path']}"

@@ -73,7 +73,7 @@ class TestScopes:
             if "security" in operation
         }
         for_administrators = {path for (_, path), needed in scopes.items() if needed == ["admin"]}
-        assert all(path.startswith(("/v1/keys", "/v1/audit", "/v1/webhooks")) for path in for_administrators)
+        assert all(path.startswith(("/v1/keys", "/v1/audit")) for path in for_administrators)
         assert scopes["post", "/v1/sites/{site_id}/jobs"] == ["run"]
 
 
@@ -135,8 +135,28 @@ class TestAudit:
         assert ids == sorted(ids, reverse=True)
         assert len(set(ids)) == 4
 
+    def test_what_a_key_is_refused_has_a_line_too(self, api: LiveApi) -> None:
+        made = key(api, "read")
+        assert ask(api, made["secret"], "DELETE", "/v1/jobs/job_0").status_code == 403
+        [line] = api.http.get("/v1/audit", params={"who": made["id"]}).json()
+        assert (line["what"], line["status"]) == ("DELETE /v1/jobs/job_0", 403)
+
 
 class TestRequestIds:
+    def test_what_fails_unforeseen_has_one(self, api: LiveApi, monkeypatch: pytest.MonkeyPatch) -> None:
+        monkeypatch.setattr(api.services.keys, "all", lambda: 1 / 0)
+        answer = api.http.get("/v1/keys")
+        assert answer.status_code == 500
+        assert answer.headers["X-Request-ID"] == answer.json()["request_id"] != ""
+
+    def test_a_key_and_no_database_is_no_fault_of_ours(self, api: LiveApi, monkeypatch: pytest.MonkeyPatch) -> None:
+        def gone(secret: str) -> None:
+            raise sqlalchemy.exc.OperationalError("SELECT", {}, OSError("gone"))
+
+        monkeypatch.setattr(api.services.keys, "find", gone)
+        answer = ask(api, "wibam_anything", "GET", "/v1/sites")
+        assert (answer.status_code, answer.json()["code"]) == (503, "service_unavailable")
+
     def test_a_plain_one_is_kept_and_another_replaced(self, api: LiveApi) -> None:
         headers = {"X-Request-ID": "mine-1"}
         answer = api.http.get("/v1/jobs/job_0", headers=headers)

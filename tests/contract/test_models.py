@@ -289,6 +289,26 @@ class TestSiteTracks:
         assert len(self.states(api, model["site_id"], **august)) == 100
         assert api.http.delete(f"/v1/jobs/{created['id']}").status_code == 204
         assert self.states(api, model["site_id"], **august) == []
+        killed = api.services.folder.site_tracks / ".partial-0123456789abcdef"
+        killed.mkdir()
+        (killed / "20000.parquet").write_bytes(b"half")
         api.services.site_tracks.tidy()
         root = api.services.folder.site_tracks / model["site_id"]
-        assert not list(root.glob("day=2026-08-01/*/*"))
+        assert list(root.glob("day=2026-08-01/*/*")) and killed.exists(), "they may be on their way"
+        api.services.site_tracks.tidy(older_than_s=-1.0)
+        assert not list(root.glob("day=2026-08-01/*/*")) and not killed.exists()
+
+    def test_tracks_that_were_made_anew_leave_the_old_files(self, api: LiveApi, model: dict, run: dict) -> None:
+        (path,) = (api.services.folder.site_tracks / model["site_id"]).glob(f"day=2026-07-02/*/{run['id']}-*")
+        before = path.with_name(f"{run['id']}-{'0' * 16}.parquet")
+        before.write_bytes(path.read_bytes())
+        api.services.site_tracks.tidy(older_than_s=-1.0)
+        assert path.exists() and not before.exists()
+
+    def test_what_does_not_fit_is_sorted_on_the_data_folder_s_disk(self, api: LiveApi) -> None:
+        root = api.services.folder.site_tracks
+        with api.services.site_tracks._connection() as connection:
+            (spilled,) = connection.execute("SELECT current_setting('temp_directory')").fetchone() or ("",)
+            assert Path(spilled).parent == root and Path(spilled).name.startswith(".partial-")
+            Path(spilled).mkdir(exist_ok=True)
+        assert not list(root.glob(".partial-*"))

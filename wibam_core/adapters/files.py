@@ -78,7 +78,7 @@ class DataFolder:
             older_than_s: what has been written to meanwhile may be a clip that is being made.
         """
         limit = time.time() - older_than_s
-        there = [path for path in (self.root / "clips").iterdir() if _unchanged_since(path, limit)]
+        there = [path for path in (self.root / "clips").iterdir() if unchanged_since(path, limit)]
         ids = known()
         for path in there:
             if not path.is_dir():
@@ -86,7 +86,7 @@ class DataFolder:
                     path.unlink(missing_ok=True)
                 continue
             files = [Path(folder) / name for folder, _, names in os.walk(path) for name in names]
-            if all(_unchanged_since(file, limit) for file in files):  # else it is being rendered
+            if all(unchanged_since(file, limit) for file in files):  # else it is being rendered
                 shutil.rmtree(path, ignore_errors=True)
 
     def model(self, model_id: str) -> Path:
@@ -101,7 +101,7 @@ class DataFolder:
             older_than_s: what is younger may be a network that is being kept.
         """
         limit = time.time() - older_than_s
-        there = [path for path in (self.root / "models").iterdir() if _unchanged_since(path, limit)]
+        there = [path for path in (self.root / "models").iterdir() if unchanged_since(path, limit)]
         ids = known()
         for path in there:
             if path.name not in ids:
@@ -134,7 +134,7 @@ class DataFolder:
         """Ids of files and uploads whose bytes have lain here unchanged for a while."""
         limit = time.time() - older_than_s
         paths = [path for name in ("uploads", "files") for path in (self.root / name).iterdir()]
-        ids = {path.name.split(".")[0] for path in paths if _unchanged_since(path, limit)}
+        ids = {path.name.split(".")[0] for path in paths if unchanged_since(path, limit)}
         return {name for name in ids if _ID.fullmatch(name)}
 
     def holds_bytes(self) -> set[str]:
@@ -314,7 +314,8 @@ class RunningDigests:
             self._kept.popitem(last=False)
 
 
-def _unchanged_since(path: Path, limit: float) -> bool:
+def unchanged_since(path: Path, limit: float) -> bool:
+    """Whether nobody has written to a file since a time (Unix seconds); False where it is gone."""
     try:
         return path.stat().st_mtime <= limit
     except FileNotFoundError:  # it was removed meanwhile

@@ -10,6 +10,7 @@ from __future__ import annotations
 import logging
 import secrets
 import shutil
+import time
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
@@ -25,7 +26,7 @@ import pyarrow.parquet as pq
 from sqlalchemy import delete, select
 
 from wibam_core.adapters.database import Database
-from wibam_core.adapters.files import DataFolder
+from wibam_core.adapters.files import DataFolder, unchanged_since
 from wibam_core.adapters.job_store import JobStore
 from wibam_core.adapters.models import JobRow, SiteTracksRow, StageRow
 from wibam_core.adapters.planning import are_dated
@@ -42,6 +43,8 @@ _DAY_NS = 86_400_000_000_000
 _BATCH_ROWS = 65_536
 _WITH_OUTPUTS = [state.value for state in StageState if state.has_outputs]
 _LONGEST_LABEL = 100
+#: How folders of what is being made begin: of a table's files, of what a question sorts on the disk.
+_PARTIAL = ".partial-"
 _ID = pa.dictionary(pa.int32(), pa.string())
 #: The columns of a job's tracks, and whose they are. ``first_run_id`` and ``track_id`` together name a road user.
 SITE_SCHEMA = pa.schema(
@@ -115,6 +118,7 @@ class SiteTracks:
         self._jobs = jobs
         self._results = results
         self._root = folder.site_tracks
+        self._given_up: set[tuple[str, str]] = set()
 
     # --- what is in it -------------------------------------------------------------------------
     def parts(self, site_id: str) -> list[SitePart]:
@@ -125,11 +129,14 @@ class SiteTracks:
 
     def take_in_all(self) -> None:
         """Take in the tracks of all runs and jobs that have some on the one clock, and forget those that are gone."""
-        for job_id in self._to_take_in():
+        for job_id, stage_hash in self._to_take_in():
             try:
                 self.take_in(self._jobs.job(job_id))
-            except (WibamError, OSError, pa.ArrowException) as error:  # the next round tries again
+            except OSError as error:  # the next round tries again
                 _log.warning("the tracks of %s could not be taken into the site's table: %s", job_id, error)
+            except (WibamError, pa.ArrowException) as error:
+                _log.warning("the tracks of %s cannot be taken into the site's table: %s", job_id, error)
+                self._given_up.add((job_id, stage_hash))
 
     def take_in(self, job: Job) -> None:
         """Take the tracks of a run or job into its site's table, in place of those that it had there."""
@@ -160,28 +167,39 @@ class SiteTracks:
                 )
             )
 
-    def tidy(self) -> None:
-        """Remove the files of runs and jobs that are gone, and of attempts that were killed."""
+    def tidy(self, older_than_s: float = 3600.0) -> None:
+        """Remove the files of runs and jobs that are gone, of tracks that were made anew, and of killed attempts.
+
+        Args:
+            older_than_s: a younger file may be on its way into the table.
+        """
+        limit = time.time() - older_than_s
+        files = [path for path in self._root.glob("*/day=*/camera=*/*.parquet") if unchanged_since(path, limit)]
+        attempts = [path for path in self._root.glob(f"{_PARTIAL}*") if unchanged_since(path, limit)]
         with self._database.reading() as session:
             known = {(row.job_id, row.stage_hash) for row in session.scalars(select(SiteTracksRow))}
-            jobs = set(session.scalars(select(JobRow.id)))
         names = {_file_name(job_id, stage_hash) for job_id, stage_hash in known}
-        for path in self._root.glob("*/day=*/camera=*/*.parquet"):
-            if path.name not in names and path.name.rpartition("-")[0] not in jobs:
+        for path in files:
+            if path.name not in names:
                 path.unlink(missing_ok=True)
+        for path in attempts:
+            if all(unchanged_since(file, limit) for file in path.glob("*")):
+                shutil.rmtree(path, ignore_errors=True)
 
-    def _to_take_in(self, limit: int = 20) -> list[str]:
+    def _to_take_in(self, limit: int = 20) -> list[tuple[str, str]]:
+        """Id, and address of the tracks."""
         tracked = (
-            select(StageRow.job_id)
+            select(StageRow.job_id, StageRow.hash)
             .outerjoin(
                 SiteTracksRow,
                 (SiteTracksRow.job_id == StageRow.job_id) & (SiteTracksRow.stage_hash == StageRow.hash),
             )
             .where(StageRow.name == TRACKS.stage, StageRow.state.in_(_WITH_OUTPUTS), SiteTracksRow.job_id.is_(None))
-            .limit(limit)
+            .limit(limit + len(self._given_up))
         )
         with self._database.reading() as session:
-            return list(session.scalars(tracked))
+            found = [(job_id, stage_hash) for job_id, stage_hash in session.execute(tracked)]
+        return [one for one in found if one not in self._given_up][:limit]
 
     def _first_of(self, job: Job) -> str:
         """The first of the runs that go on with each other; the oldest that is still known."""
@@ -204,7 +222,7 @@ class SiteTracks:
         """One file a day; returns the first and last time, and how many states there are."""
         file_name = _file_name(job.id, stage_hash)
         writers: dict[int, pq.ParquetWriter] = {}
-        partial = self._root / f".partial-{secrets.token_hex(8)}"
+        partial = self._root / f"{_PARTIAL}{secrets.token_hex(8)}"
         partial.mkdir(parents=True)
         first = last = None
         states = 0
@@ -248,7 +266,7 @@ class SiteTracks:
             yield pa.RecordBatchReader.from_batches(SITE_SCHEMA, [])
             return
         limit = f" LIMIT {int(query.states.limit)}" if query.states.limit is not None else ""
-        with _connection() as connection:
+        with self._connection() as connection:
             ordered = f"{matching[0]} ORDER BY time_ns, run_id, track_id{limit}"
             yield connection.sql(ordered, params=matching[1]).to_arrow_reader(_BATCH_ROWS)
 
@@ -262,7 +280,7 @@ class SiteTracks:
             "count(DISTINCT (first_run_id, track_id)) AS users, avg(speed_mps) AS speed "
             f"FROM ({matching[0]}) GROUP BY ALL ORDER BY ALL"
         )
-        with _connection() as connection:
+        with self._connection() as connection:
             rows = connection.execute(counted, matching[1]).fetchall()
         return [
             Count(start.replace(tzinfo=UTC), str(name), int(users), float(speed)) for start, name, users, speed in rows
@@ -285,6 +303,17 @@ class SiteTracks:
         sql = "SELECT * FROM read_parquet(?, hive_partitioning = false)"
         return f"{sql} WHERE {' AND '.join(where)}" if where else sql, [paths, *values]
 
+    @contextmanager
+    def _connection(self) -> Iterator[duckdb.DuckDBPyConnection]:
+        """Of its own, in bounded memory; what does not fit is sorted on the data folder's disk."""
+        spilled = self._root / f"{_PARTIAL}{secrets.token_hex(8)}"
+        try:
+            config = {"threads": 1, "memory_limit": "512MB", "temp_directory": str(spilled)}
+            with duckdb.connect(":memory:", config=config) as connection:
+                yield connection
+        finally:
+            shutil.rmtree(spilled, ignore_errors=True)
+
     def _files(self, site_id: str, part: SitePart, states: TrackQuery) -> Iterator[Path]:
         first = max(part.start_ns, states.start_ns if states.start_ns is not None else part.start_ns)
         last = min(part.end_ns, states.end_ns - 1 if states.end_ns is not None else part.end_ns)
@@ -293,13 +322,6 @@ class SiteTracks:
             path = self._root / site_id / f"day={_date_of(day)}" / f"camera={part.camera}" / name
             if path.is_file():
                 yield path
-
-
-@contextmanager
-def _connection() -> Iterator[duckdb.DuckDBPyConnection]:
-    """Of its own, in memory, and no larger than it needs to be."""
-    with duckdb.connect(":memory:", config={"threads": 1, "memory_limit": "1GB"}) as connection:
-        yield connection
 
 
 def _part(row: SiteTracksRow) -> SitePart:
