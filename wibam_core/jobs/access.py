@@ -23,7 +23,7 @@ class Scope(StrEnum):
 _MEANINGS = {
     Scope.READ: "look at sites, jobs and results",
     Scope.UPLOAD: "describe sites, send files, labels and reviews",
-    Scope.RUN: "start, stop, share and delete jobs",
+    Scope.RUN: "start, stop, share and delete jobs, runs, clips and models",
     Scope.ADMIN: "everything, keys too",
 }
 
