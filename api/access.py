@@ -23,7 +23,7 @@ _ANY = ("GET", "HEAD", "POST", "PUT", "PATCH", "DELETE")
 _RULES: tuple[tuple[tuple[str, ...], str, Scope], ...] = (
     (_ANY, r"/v1/(keys|audit)(/.*)?", Scope.ADMIN),
     (_ANY, r"/v1/uploads(/.*)?", Scope.UPLOAD),
-    (SAFE, r"/v1/.*", Scope.READ),
+    (SAFE, r"/v1/.*|/metrics", Scope.READ),
     (_ANY, r"/v1/calibration/.*|/v1/(sites|jobs)/[^/]+/plan", Scope.READ),
     (_ANY, r"/v1/jobs/[^/]+/labels/evaluate", Scope.RUN),
     (_ANY, r"/v1/jobs/[^/]+/(labels|conflicts)/.*", Scope.UPLOAD),
@@ -34,8 +34,13 @@ _RULES: tuple[tuple[tuple[str, ...], str, Scope], ...] = (
 _COMPILED = tuple((methods, re.compile(pattern), scope) for methods, pattern, scope in _RULES)
 
 
+def is_protected(method: str, path: str) -> bool:
+    """Whether a request needs the token, or what stands in for it. What tus can do here is told to everybody."""
+    return method != "OPTIONS" and (path.startswith("/v1/") or path == "/metrics")
+
+
 def needed_scope(method: str, path: str) -> Scope:
-    """What a request under ``/v1/`` takes."""
+    """What a request that `is_protected` takes."""
     for methods, pattern, scope in _COMPILED:
         if method in methods and pattern.fullmatch(path):
             return scope
@@ -49,10 +54,12 @@ class Visit:
     Attributes:
         request_id: names it in logs and problems.
         who: `TOKEN`, `PAGE`, `GUEST` or a key's id; empty while unknown.
+        problem: the code of the problem that it was answered with; empty where there was none.
     """
 
     request_id: str
     who: str = ""
+    problem: str = ""
 
 
 #: Of the request that is being answered; None outside of one.

@@ -13,7 +13,7 @@ from fastapi.openapi.utils import get_openapi
 from starlette.concurrency import run_in_threadpool
 from starlette.middleware.cors import CORSMiddleware
 
-from api.access import REQUEST_ID, needed_scope
+from api.access import REQUEST_ID, is_protected, needed_scope
 from api.housekeeping import Housekeeper
 from api.problems import Problem, add_handlers, documented
 from api.routes import (
@@ -57,10 +57,11 @@ calibration, without hand labels; get 7DoF tracks and the conflicts between road
    `/exports/{format}` has them in formats of others.
 5. `GET /v1/models`: the networks that jobs have made. `POST /v1/models/{id}/runs`: new footage to tracks and conflicts.
 
-Everything under `/v1` needs `Authorization: Bearer TOKEN`, with the token of the service, which may do everything, or a
-key (`POST /v1/keys`), which may do what its scopes say; each operation names the one that it takes. The pages, at `/`,
-sign in with the token once and then send a cookie in its place, and the header `X-Wibam-Page` with everything that
-changes something. Errors are `application/problem+json` (RFC 9457) with a stable `code`, a sentence and a `hint`.
+Everything under `/v1`, and `/metrics`, needs `Authorization: Bearer TOKEN`, with the token of the service, which may
+do everything, or a key (`POST /v1/keys`), which may do what its scopes say; each operation names the one that it
+takes. The pages, at `/`, sign in with the token once and then send a cookie in its place, and the header
+`X-Wibam-Page` with everything that changes something. Errors are `application/problem+json` (RFC 9457) with a stable
+`code`, a sentence and a `hint`.
 """
 
 
@@ -132,7 +133,7 @@ def create_app(settings: ServiceSettings) -> FastAPI:
                 *TUS_RESPONSE_HEADERS,
             ],
         )
-    app.add_middleware(Telemetry, audit=services.audit)
+    app.add_middleware(Telemetry, audit=services.audit, figures=services.figures)
     return app
 
 
@@ -172,7 +173,7 @@ def _openapi(app: FastAPI) -> dict[str, Any]:
         for path, operations in document["paths"].items():
             for method, operation in operations.items():
                 _with_problems(operation)
-                if path.startswith("/v1/") and method != "options":  # what tus can do here is told to everybody
+                if is_protected(method.upper(), path):
                     scope = needed_scope(method.upper(), path).value
                     operation["security"] = [{"token": [scope]}, {"session": []}]
                     operation["responses"].setdefault("403", documented(403)[403])

@@ -86,7 +86,10 @@ class Problem(BaseModel):
 def problem(error: WibamError, status: int | None = None, headers: Mapping[str, str] | None = None) -> JSONResponse:
     """An error as a response."""
     status = status_of(error) if status is None else status
-    request_id = visit.request_id if (visit := current_visit.get()) is not None else ""
+    visit = current_visit.get()
+    if visit is not None:
+        visit.problem = error.code
+    request_id = visit.request_id if visit is not None else ""
     body = Problem(
         type=f"urn:wibam:problem:{error.code}",
         title=_title(status),

@@ -13,14 +13,13 @@ from starlette.datastructures import Headers
 from starlette.exceptions import HTTPException
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
-from api.access import GUEST, PAGE, SAFE, TOKEN, needed_scope, visit_of
+from api.access import GUEST, PAGE, SAFE, TOKEN, is_protected, needed_scope, visit_of
 from api.problems import database_problem, problem
 from api.sessions import PAGE_HEADER, Passes, parse_cookies
 from wibam_core.adapters.key_store import PREFIX, KeyStore
 from wibam_core.adapters.settings import token_digest
 from wibam_core.errors import Forbidden, InputError, NotFound, TooLarge, Unauthorised, WibamError
 
-_PROTECTED = "/v1/"
 _UPLOADS = "/v1/uploads/"
 #: Of pieces of uploads, as tus has it.
 UPLOAD_CONTENT_TYPE = "application/offset+octet-stream"
@@ -42,7 +41,7 @@ class CrossSite(WibamError):
 
 
 class Gate:
-    """ASGI middleware: everything under ``/v1/`` needs the token, or a browser's pass in its place; bodies other than
+    """ASGI middleware: what `is_protected` needs the token, or a browser's pass in its place; bodies other than
     uploads are bounded.
 
     A key opens what its scopes say (`api.access`). With a session (`api.sessions`) a browser may do everything, but a
@@ -84,7 +83,7 @@ class Gate:
             # a proxy in between may have understood another length than we do
             await problem(AmbiguousLength(), headers={"Connection": "close"})(scope, receive, send)
             return
-        if self._needs_token(scope):
+        if is_protected(scope["method"], scope["path"]):
             try:
                 who = await self._who(scope, headers)
             except WibamError as refusal:
@@ -105,9 +104,6 @@ class Gate:
             await problem(self._too_large())(scope, receive, send)
             return
         await self._app(scope, self._bounded(receive), send)
-
-    def _needs_token(self, scope: Scope) -> bool:
-        return scope["path"].startswith(_PROTECTED) and scope["method"] != "OPTIONS"
 
     async def _who(self, scope: Scope, headers: Headers) -> str:
         """Who comes in; see `api.access.Visit`.

@@ -9,9 +9,11 @@ from typing import Annotated
 
 from fastapi import Depends, Request
 
+from api.figures import Figures
 from api.sessions import Passes, ReportLinks
 from wibam_core.adapters.audit_store import AuditStore
 from wibam_core.adapters.clip_store import ClipStore
+from wibam_core.adapters.counters import Watch
 from wibam_core.adapters.database import Database
 from wibam_core.adapters.files import DataFolder
 from wibam_core.adapters.glimpses import Glimpses
@@ -54,6 +56,7 @@ class Services:
     report_links: ReportLinks
     keys: KeyStore
     audit: AuditStore
+    figures: Figures
     glimpses: Glimpses
     clips: ClipStore
     models: ModelStore
@@ -91,6 +94,7 @@ class Services:
             report_links=ReportLinks(signing_secret),
             keys=KeyStore(database),
             audit=AuditStore(database),
+            figures=Figures(Watch(database).look),
             clips=ClipStore(database, settings.leases),
             glimpses=glimpses,
             models=models,

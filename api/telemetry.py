@@ -12,7 +12,9 @@ from starlette.datastructures import Headers, MutableHeaders
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
 from api.access import REQUEST_ID, SAFE, Visit, begin_visit, current_visit
+from api.figures import Figures
 from wibam_core.adapters.audit_store import AuditStore
+from wibam_core.errors import WibamError
 
 _PLAIN = re.compile(r"[A-Za-z0-9._-]{1,64}")
 _PIECE_OF_AN_UPLOAD = re.compile(r"/v1/uploads/[^/]+")
@@ -29,10 +31,12 @@ class Telemetry:
     Args:
         app: what lies behind.
         audit: where changes are written down.
+        figures: where requests are counted.
     """
 
-    def __init__(self, app: ASGIApp, audit: AuditStore) -> None:
+    def __init__(self, app: ASGIApp, audit: AuditStore, figures: Figures) -> None:
         self._app = app
+        self._figures = figures
         self._audit = audit
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
@@ -61,7 +65,11 @@ class Telemetry:
 
         try:
             await self._app(scope, receive, send_with_id)
+        except Exception:
+            visit.problem = visit.problem or WibamError.code  # which answer is made of it, further out
+            raise
         finally:
+            self._figures.answered(scope["method"], status, visit.problem)
             await note_once()
 
     def _note(self, scope: Scope, visit: Visit, status: int) -> None:

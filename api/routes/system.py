@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
-from fastapi import APIRouter
+from typing import Annotated
+
+from fastapi import APIRouter, Header, Response
 
 from api.problems import documented
 from api.schemas import HealthOut, OptionsOut, VersionOut
@@ -31,6 +33,18 @@ def readyz(services: ServicesDep) -> HealthOut:
 @router.get("/version", summary="Version and stages")
 def version() -> VersionOut:
     return VersionOut(version=__version__, stages=list(STAGES))
+
+
+@router.get(
+    "/metrics",
+    summary="Figures for Prometheus",
+    response_class=Response,
+    responses={200: {"content": {"text/plain": {}, "application/openmetrics-text": {}}}, **documented(401, 503)},
+)
+def metrics(services: ServicesDep, accept: Annotated[str, Header()] = "") -> Response:
+    """Queue, stages, leases and uploads of the whole service; requests and problems of this process alone."""
+    text, media_type = services.figures.exposition(accept)
+    return Response(text, media_type=media_type, headers={"Cache-Control": "no-store"})
 
 
 @options_router.get("/options", summary="All options of a job", responses=documented(401))

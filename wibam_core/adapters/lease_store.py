@@ -11,6 +11,7 @@ from sqlalchemy.exc import IntegrityError
 from sqlalchemy.orm import Session
 
 from wibam_core.adapters import records
+from wibam_core.adapters.counters import Counted, count
 from wibam_core.adapters.database import Database
 from wibam_core.adapters.job_rows import (
     StageKey,
@@ -268,6 +269,7 @@ class LeaseStore:
             if (stage.lease_expires_at or 0.0) >= now and stage.lease_owner not in gone:
                 return []
             stage.fence += 1  # what the lost worker may still write no longer counts
+            count(session, Counted.LEASE_LOSSES, stage=stage.name)
             if job.state == JobState.CANCELLING.value:
                 return self._end(session, job, stage, StageState.CANCELLED)
             state = self._policy.after_expiry(stage.attempts)
@@ -283,6 +285,10 @@ class LeaseStore:
 
     def _end(self, session: Session, job: JobRow, stage: StageRow, state: StageState, **news: Any) -> list[StageKey]:
         now = self._now()
+        if state is not StageState.REUSED and stage.started_at is not None:
+            outcome = "retried" if state is StageState.QUEUED else state.value
+            count(session, Counted.ATTEMPTS, stage=stage.name, outcome=outcome)
+            count(session, Counted.SECONDS, max(now - stage.started_at, 0.0), stage=stage.name, outcome=outcome)
         move_stage(session, job, stage, state, now, **news)
         session.flush()
         if state.is_terminal:

@@ -292,6 +292,17 @@ class SiteTracksRow(Base):
     states: Mapped[int] = mapped_column(BigInteger)
 
 
+class CounterRow(Base):
+    """What was counted since the service was set up; it outlives the jobs. ``stage`` and ``outcome`` may be empty."""
+
+    __tablename__ = "counters"
+
+    name: Mapped[str] = mapped_column(String(64), primary_key=True)
+    stage: Mapped[str] = mapped_column(String(64), primary_key=True)
+    outcome: Mapped[str] = mapped_column(String(16), primary_key=True)
+    value: Mapped[float]
+
+
 class EventRow(Base):
     __tablename__ = "events"
 

@@ -10,6 +10,7 @@ from sqlalchemy import delete, exists, func, select, update
 from sqlalchemy.orm import Session
 
 from wibam_core.adapters import records
+from wibam_core.adapters.counters import Counted, count
 from wibam_core.adapters.database import Database
 from wibam_core.adapters.models import FileRow, JobFileRow, JobRow, SiteRow, UploadRow
 from wibam_core.adapters.site_rules import camera_of, check_camera, check_listed, check_quota, retire_unlisted
@@ -260,6 +261,7 @@ class SiteStore:
         """Acknowledge bytes that are safely on disk, and keep the upload for another ``lifetime_s``."""
         values = {"offset_bytes": offset, "expires_at": self._now() + lifetime_s}
         with self._database.writing() as session:
+            _count_received(session, upload_id, offset)
             session.execute(update(UploadRow).where(UploadRow.id == upload_id).values(values))
 
     def complete_upload(self, upload: Upload, *, suffix: str, sha256: str) -> StoredFile:
@@ -292,6 +294,7 @@ class SiteStore:
         with self._database.writing(exclusive=True) as session:
             if session.get(UploadRow, upload.id) is None:
                 raise NotFound(f"there is no upload {upload.id} any more", hint="Start a new one.")
+            _count_received(session, upload.id, upload.length)
             camera = camera_of(records.site_record(_site_row(session, file.site_id)).site, file.camera_id)
             if file.purpose in (Purpose.FOOTAGE, Purpose.MODEL) or (camera is not None and camera.recordings):
                 same_place &= FileRow.filename == file.filename
@@ -345,3 +348,9 @@ def _site_row(session: Session, site_id: str) -> SiteRow:
     if row is None:
         raise NotFound(f"there is no site {site_id}", hint="List the sites to see their ids.")
     return row
+
+
+def _count_received(session: Session, upload_id: str, offset: int) -> None:
+    before = session.scalar(select(UploadRow.offset_bytes).where(UploadRow.id == upload_id))
+    if before is not None and offset > before:
+        count(session, Counted.UPLOADED_BYTES, float(offset - before))
