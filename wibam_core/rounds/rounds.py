@@ -93,6 +93,9 @@ def run_rounds(world: World, detected: Detected, progress: Progress = silent) ->
         network, vehicles = taught
         again = settled(world, _found_again(world, detected, network, finding), fitting, of_detector=detected)
         rounds.append(_round(number, again, vehicles))
+        if again.agreement.found is None:
+            reason = "no vehicle is seen by two cameras beside the one that is judged: agreement cannot be told"
+            break
         before, after = best.agreement.an_instant, again.agreement.an_instant
         if after < (1 + world.options.rounds.least_gain) * before:
             reason = "agreement between views rose no further"

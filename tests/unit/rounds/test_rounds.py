@@ -15,9 +15,10 @@ from wibam_core.models.weights import bundled
 from wibam_core.networks.registry import load_to_detect
 from wibam_core.progress import silent
 from wibam_core.rounds import rounds
+from wibam_core.rounds.agreement import held_out_agreement
 from wibam_core.rounds.rounds import run_rounds, settled
 from wibam_core.rounds.world import Detected, Options, World
-from wibam_core.scene import Boxes2D, FrameKey
+from wibam_core.scene import Boxes2D, CameraRig, FrameKey
 
 SHORT = DatasetConfig(rate_hz=6.25, train_share=0.5, val_share=0.3, gap_s=0.2)
 
@@ -86,6 +87,17 @@ def test_what_agrees_less_is_not_kept(
     assert document.kept == 0 and len(document.rounds) == 2
     assert found.keys() == detected.keys()
     assert all(np.array_equal(found[frame].boxes, detected[frame].boxes) for frame in detected)
+
+
+def test_a_round_whose_agreement_cannot_be_told_is_not_kept(monkeypatch: pytest.MonkeyPatch) -> None:
+    rig = {camera_id: camera for camera_id, camera in crossing().rig.items() if camera_id in ("cam1", "cam2")}
+    world = World(CameraRig(rig), {}, None, [], {}, Path(), options(), Path())  # type: ignore[arg-type]
+    agreement = held_out_agreement([], world.rig, LiftConfig())
+    state = rounds.Settled({}, [], None, [], agreement)  # type: ignore[arg-type]
+    monkeypatch.setattr(rounds, "settled", lambda *args, **others: state)
+    taught = finding(monkeypatch, {})
+    _, document = run_rounds(world, {})
+    assert taught == [1] and document.kept == 0 and "cannot be told" in document.reason
 
 
 def test_no_more_rounds_than_asked_for(
