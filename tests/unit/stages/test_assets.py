@@ -9,7 +9,7 @@ from wibam_core.config import PipelineConfig
 from wibam_core.errors import InputError
 from wibam_core.jobs.records import Purpose
 from wibam_core.stages.assets import ASSETS
-from wibam_core.stages.graph import STAGES, InputDigests, downstream, plan
+from wibam_core.stages.graph import RUN_STAGES, STAGES, InputDigests, downstream, plan
 
 CHOSEN = {"detector": {"detect": {"detector": "custom"}}, "network": {"finetune": {"network": "custom"}}}
 #: Stages whose outputs depend on each; what only checks it, aside.
@@ -31,7 +31,7 @@ def test_a_file_that_the_options_do_not_use_changes_no_address(asset: str) -> No
     assert changed(asset, {}, None) == changed(asset, {}, "old") == set()
 
 
-@pytest.mark.parametrize("asset", ASSETS)
+@pytest.mark.parametrize("asset", READ_FIRST_BY)
 def test_a_file_that_is_used_changes_what_depends_on_it(asset: str) -> None:
     first = READ_FIRST_BY[asset]
     checks = {name for name, spec in STAGES.items() if asset in spec.assets and spec.asset_checks}
@@ -46,6 +46,11 @@ def test_options_that_ask_for_what_is_not_there_are_refused(asset: str) -> None:
     assert ASSETS[asset].files[0] in refused.value.hint
 
 
-def test_everything_but_recordings_that_can_be_uploaded_is_an_asset() -> None:
-    assert {purpose.value for purpose in Purpose} - {"recording"} == set(ASSETS)
-    assert {asset for spec in STAGES.values() for asset in spec.assets} == set(ASSETS)
+def test_everything_that_can_be_uploaded_is_footage_or_an_asset() -> None:
+    """Of a job what its site's folder may hold; of a run the network, what comes with it and from the run before."""
+    of_jobs, of_runs = ({a for spec in stages.values() for a in spec.assets} for stages in (STAGES, RUN_STAGES))
+    uploads = {purpose.value for purpose in Purpose} - {"recording", "footage"}
+    assert of_jobs == {name for name, asset in ASSETS.items() if asset.files}
+    assert of_runs - of_jobs == {"model", "usual", "open_tracks"}
+    assert of_jobs | of_runs == set(ASSETS)
+    assert uploads == of_jobs | {"model"}

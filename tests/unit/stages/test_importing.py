@@ -164,7 +164,7 @@ def test_the_published_method_is_trained_and_evaluated_on_the_hand_labels(datase
     output = run(site_dir, "--until", "evaluate")
     assert output.count("given") >= 7
     made = {path.name.split("-")[0]: path for path in (site_dir / "outputs").glob("*-*")}
-    assert set(made) == {"calibrate", "lift", "finetune", "evaluate"}
+    assert set(made) == {"calibrate", "rounds", "lift", "finetune", "predict", "evaluate"}
     metrics = ArtifactReader(made).read(catalogue.METRICS)
     assert metrics.labels == "hand"
     assert metrics.labelled_instants.given == 20
