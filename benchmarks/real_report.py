@@ -166,7 +166,7 @@ _ABOUT = """\
 
 A vehicle is found if a box lies within {match:g} m of it. Every vehicle in the labelled area was labelled: a further
 box is one in that area that is no labelled vehicle. Boxes close to its border and on trailers count neither way. Shares
-have Wilson's 95 % interval; means have one of bootstrap samples of vehicles. Labels evaluate, and chose nothing: how
+have Wilson's 95 % interval; means have one of bootstrap samples of vehicles. Labels evaluate: how
 many rounds are kept follows from the agreement between views, at instants that taught nothing and are not tested.
 
 Site: {sites}. It is one site and one minute, with few labelled instants, whose labels err by about 0.1 m at random, by

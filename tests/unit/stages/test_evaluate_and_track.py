@@ -308,7 +308,9 @@ def test_the_tracker_is_told_when_each_frame_was_exposed(job: Job, monkeypatch: 
     _, tracks = job.track(rate_hz=6.25)
     (driving,) = (t for t in tracks if np.hypot(*t.velocities_mps[-1]) > 5)
     want = np.array([truth(time_ns)[0, 0] for time_ns in driving.times_ns.tolist()])
-    assert np.abs(driving.boxes[5:, 0] - want[5:]).max() < 0.15
+    errors_m = driving.boxes[5:, 0] - want[5:]
+    assert abs(errors_m.mean()) < 0.05  # an exposure time left out moves all of them alike
+    assert np.abs(errors_m).max() < 0.15
 
 
 def test_the_fine_tuned_network_sees_each_image_once_for_evaluation_and_tracking(
