@@ -14,6 +14,10 @@ settings.register_profile("local", deadline=None)
 settings.register_profile("ci", derandomize=True, deadline=None)
 settings.load_profile("ci" if os.environ.get("CI") else "local")
 
+#: Tests run side by side, one on each core: several threads of each would wait for each other. Told before anything
+#: loads a library that computes; the processes that tests start are told, too.
+os.environ.setdefault("OMP_NUM_THREADS", "1")
+
 #: Tests talk to this machine alone, whatever proxy the environment names.
 for _name in ("http_proxy", "https_proxy", "all_proxy"):
     os.environ.pop(_name, None)

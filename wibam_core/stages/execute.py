@@ -21,6 +21,7 @@ from pathlib import Path
 from typing import IO, Any
 
 from pydantic import BaseModel, ConfigDict
+from threadpoolctl import threadpool_limits
 
 from wibam_core.artifacts.access import ArtifactReader, ArtifactWriter
 from wibam_core.config import PipelineConfig
@@ -126,6 +127,9 @@ class StageRequest(BaseModel):
 def run_stage(request: StageRequest, progress: Progress, warned: WarningListener) -> Summary:
     """Run a stage in this process.
 
+    Its linear algebra keeps to one thread: the matrices are small, so that several threads gain nothing, and beside
+    other work wait for each other many times longer than they compute. Networks use all cores that they are given.
+
     Args:
         request: which, and on what.
         progress: told how far it is.
@@ -137,7 +141,8 @@ def run_stage(request: StageRequest, progress: Progress, warned: WarningListener
     stage = request.stage
     module = importlib.import_module(f"wibam_core.stages.{request.spec.module_name}")
     try:
-        summary: Summary = module.run(request.context(progress, warned), request.spec.config(request.config))
+        with threadpool_limits(limits=1, user_api="blas"):
+            summary: Summary = module.run(request.context(progress, warned), request.spec.config(request.config))
     except WibamError:
         raise
     except MemoryError as error:
