@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gc
 import logging
 import os
 from collections.abc import AsyncIterator
@@ -15,6 +16,7 @@ from starlette.middleware.cors import CORSMiddleware
 
 from api.access import REQUEST_ID, is_protected, needed_scope
 from api.housekeeping import Housekeeper
+from api.paging import LINK
 from api.problems import Problem, add_handlers, documented
 from api.routes import (
     access,
@@ -45,7 +47,7 @@ from wibam_core.errors import Conflict
 
 _log = logging.getLogger(__name__)
 #: What pages of other origins may see of an answer's headers, beside those of uploads.
-_EXPOSED = (REQUEST_ID, "Location", "ETag", "Retry-After", "Content-Disposition")
+_EXPOSED = (REQUEST_ID, LINK, "Location", "ETag", "Retry-After", "Content-Disposition")
 _DESCRIPTION = """
 Fine-tune a monocular 3D vehicle detector for an intersection, from recordings of a few ordinary cameras and their
 calibration, without hand labels; get 7DoF tracks and the conflicts between road users.
@@ -125,11 +127,7 @@ def create_app(settings: ServiceSettings) -> FastAPI:
             allow_methods=["GET", "HEAD", "POST", "PUT", "PATCH", "DELETE"],
             allow_headers=["*"],
             expose_headers=[
-                REQUEST_ID,
-                "Location",
-                "ETag",
-                "Retry-After",
-                "Content-Disposition",
+                *_EXPOSED,
                 *TUS_RESPONSE_HEADERS,
             ],
         )
@@ -147,8 +145,12 @@ def _prepare(services: Services) -> None:
 
 
 def create() -> FastAPI:
-    """The application for the settings in the environment."""
-    return create_app(ServiceSettings.from_environment(os.environ))
+    """The application for the settings in the environment; it is the only one of its process."""
+    app = create_app(ServiceSettings.from_environment(os.environ))
+    # what stands by now stays to the end: to look for garbage in it would take longer than most requests
+    gc.collect()
+    gc.freeze()
+    return app
 
 
 def _openapi(app: FastAPI) -> dict[str, Any]:

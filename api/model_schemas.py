@@ -7,7 +7,7 @@ from typing import Annotated
 
 from pydantic import BaseModel, ConfigDict, Field, JsonValue
 
-from api.schemas import JobName
+from api.schemas import JobName, Tags
 from api.times import to_time
 from wibam_core.documents.trained_model import ModelDocument
 from wibam_core.jobs.records import ModelState, StoredFile, TrainedModel
@@ -82,6 +82,7 @@ class RunIn(BaseModel):
         None, description="the run before, of the same cameras: whoever is in view at the joint keeps their id"
     )
     name: JobName = ""
+    tags: Tags = []
     options: dict[str, JsonValue] = Field(
         {},
         description="options of the stages preflight, calibrate, sync, track and safety",

@@ -83,13 +83,22 @@ class RecordingOut(BaseModel):
 JobName = Annotated[str, Field(max_length=200, pattern=r"^[^\x00-\x1f\x7f]*$")]
 
 
+Tag = Annotated[
+    str,
+    Field(
+        min_length=1, max_length=64, pattern=r"^[^\x00-\x1f\x7f]*[^\x00-\x20\x7f][^\x00-\x1f\x7f]*$", examples=["rain"]
+    ),
+]
+Tags = Annotated[list[Tag], Field(max_length=20, description="words by which you find it again", examples=[["rain"]])]
+
+
 class JobIn(BaseModel):
     """A job to create."""
 
     model_config = ConfigDict(extra="forbid")
 
     name: JobName = Field("", description="what you call it", examples=["Monday, second try"])
-
+    tags: Tags = []
     options: dict[str, JsonValue] = Field(
         {},
         description="options by stage; what is left out has its default (`GET /v1/options`)",
@@ -98,11 +107,12 @@ class JobIn(BaseModel):
 
 
 class JobChangeIn(BaseModel):
-    """What of a job can be changed: what it is called."""
+    """What of a job can be changed: what it is called, and its tags. What is left out stays."""
 
     model_config = ConfigDict(extra="forbid")
 
-    name: JobName
+    name: JobName | None = None
+    tags: Tags | None = Field(None, description="in place of those that it has")
 
 
 class RestartIn(BaseModel):
@@ -195,6 +205,7 @@ class JobOut(BaseModel):
     site_id: str
     site_name: str = Field(description="as it was when the job was created")
     name: str = Field(description="what its user calls it; may be empty")
+    tags: list[str] = Field(description="words of its users, sorted", examples=[["rain"]])
     kind: JobKind = Field(description="`training`, or `run`: a network that is there on new footage")
     model_id: str | None = Field(description="the network that a run uses")
     continues: str | None = Field(description="the run whose road users this run follows on")
@@ -219,6 +230,7 @@ class JobOut(BaseModel):
             site_id=job.site_id,
             site_name=job.site.name,
             name=job.name,
+            tags=list(job.tags),
             kind=job.kind,
             model_id=job.model_id,
             continues=job.continues,

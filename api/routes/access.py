@@ -10,6 +10,7 @@ from fastapi import APIRouter, Query
 from pydantic import BaseModel, ConfigDict, Field
 
 from api.bodies import BoundedJsonRoute
+from api.paging import MadeDep, PageDep
 from api.parameters import ONLY_KNOWN_PARAMETERS
 from api.problems import documented
 from api.services import ServicesDep
@@ -87,10 +88,11 @@ def create_key(body: KeyIn, services: ServicesDep) -> NewKeyOut:
     return NewKeyOut(**KeyOut.of(key).model_dump(), secret=secret)
 
 
-@router.get("/keys", summary="List keys")
-def list_keys(services: ServicesDep) -> list[KeyOut]:
+@router.get("/keys", summary="List keys", dependencies=[ONLY_KNOWN_PARAMETERS], responses=documented(422))
+def list_keys(services: ServicesDep, page: PageDep, made: MadeDep) -> list[KeyOut]:
     """The newest first, with those that no longer work."""
-    return [KeyOut.of(key) for key in services.keys.all()]
+    found = services.keys.keys(page.one_more, made=made, after=page.place)
+    return [KeyOut.of(key) for key in page.cut(found, lambda key: (key.created_at, key.id))]
 
 
 @router.delete("/keys/{key_id}", summary="Revoke a key", responses=documented(404))
@@ -102,17 +104,17 @@ def revoke_key(key_id: str, services: ServicesDep) -> KeyOut:
 @router.get("/audit", summary="Who changed what", dependencies=[ONLY_KNOWN_PARAMETERS], responses=documented(422))
 def audit(
     services: ServicesDep,
+    page: PageDep,
+    made: MadeDep,
     who: Annotated[str | None, Query(max_length=80, description="`token`, `page` or the id of a key")] = None,
-    before: Annotated[
-        int | None, Query(ge=1, le=2**31 - 1, description="id of the last line of the page before")
-    ] = None,
-    limit: Annotated[int, Query(ge=1, le=1000)] = 100,
 ) -> list[AuditLineOut]:
     """A line for every change through the API, the newest first, kept for a year.
 
     Pieces of uploads are not told one by one.
     """
-    return [AuditLineOut.of(line) for line in services.audit.lines(before=before, who=who, limit=limit)]
+    last = page.after(int)
+    found = services.audit.lines(before=None if last is None else int(last[0]), who=who, limit=page.one_more, made=made)
+    return [AuditLineOut.of(line) for line in page.cut(found, lambda line: (line.id,))]
 
 
 def _time(seconds: float | None) -> datetime | None:

@@ -5,12 +5,14 @@ from __future__ import annotations
 from datetime import UTC, datetime
 from typing import Annotated
 
-from fastapi import APIRouter, Path, Request, Response
+from fastapi import APIRouter, Path, Query, Request, Response
 from pydantic import BaseModel, Field
 from starlette.responses import FileResponse
 
 from api.addresses import address
 from api.bodies import BoundedJsonRoute
+from api.paging import MadeDep, PageDep
+from api.parameters import ONLY_KNOWN_PARAMETERS
 from api.problems import documented
 from api.schemas import ErrorOut
 from api.services import Services, ServicesDep
@@ -76,11 +78,18 @@ def create(job_id: str, body: ClipSpec, services: ServicesDep, request: Request,
     return ClipOut.of(clip, tracks_hash)
 
 
-@router.get("", summary="List video clips")
-def clips(job_id: str, services: ServicesDep) -> list[ClipOut]:
+@router.get("", summary="List video clips", dependencies=[ONLY_KNOWN_PARAMETERS], responses=documented(422))
+def clips(
+    job_id: str,
+    services: ServicesDep,
+    page: PageDep,
+    made: MadeDep,
+    state: Annotated[list[ClipState] | None, Query(max_length=10, description="in any of these states")] = None,
+) -> list[ClipOut]:
     """The newest first."""
     tracks_hash = _tracks_hash(services, job_id)
-    return [ClipOut.of(clip, tracks_hash) for clip in services.clips.clips(job_id)]
+    found = services.clips.clips(job_id, page.one_more, states=state or (), made=made, after=page.place)
+    return [ClipOut.of(clip, tracks_hash) for clip in page.cut(found, lambda clip: (clip.created_at, clip.id))]
 
 
 @router.get("/{clip_id}", summary="Look at a video clip")

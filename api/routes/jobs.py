@@ -12,8 +12,11 @@ from fastapi import APIRouter, Depends, Header, Query, Request, Response
 from fastapi.sse import EventSourceResponse, ServerSentEvent
 from starlette.concurrency import run_in_threadpool
 
+from api import job_lists
 from api.addresses import address
 from api.bodies import BoundedJsonRoute
+from api.job_lists import JobFilterDep
+from api.paging import PageDep
 from api.parameters import ONLY_KNOWN_PARAMETERS
 from api.problems import documented
 from api.schemas import (
@@ -33,7 +36,6 @@ from wibam_core.adapters.logs import read_log
 from wibam_core.adapters.planning import made_anew, plan_stages
 from wibam_core.job_kind import JobKind
 from wibam_core.jobs.records import Job
-from wibam_core.jobs.states import JobState
 from wibam_core.stages.graph import PlannedStage, downstream
 
 router = APIRouter(prefix="/v1", tags=["jobs"], responses=documented(401), route_class=BoundedJsonRoute)
@@ -61,7 +63,7 @@ def create(
     site = services.sites.site(site_id)
     files = services.sites.files(site_id)
     plan = plan_stages(site.site, body.options, files)
-    job, ready = services.jobs.create(site, body.options, files, plan, idempotency_key, body.name)
+    job, ready = services.jobs.create(site, body.options, files, plan, idempotency_key, body.name, tags=body.tags)
     response.headers["Location"] = address(request, f"/v1/jobs/{job.id}")
     return _begun(services, job, ready)
 
@@ -73,20 +75,15 @@ def plan(site_id: str, body: JobIn, services: ServicesDep) -> list[PlannedStageO
     return _planned(services, plan_stages(site.site, body.options, services.sites.files(site_id)))
 
 
-@router.get("/jobs", summary="List jobs", dependencies=[ONLY_KNOWN_PARAMETERS])
+@router.get("/jobs", summary="List jobs", dependencies=[ONLY_KNOWN_PARAMETERS], responses=documented(422))
 def list_jobs(
     services: ServicesDep,
-    site: Annotated[str | None, Query(description="of this site alone")] = None,
-    limit: Annotated[int, Query(ge=1, le=1000)] = 100,
-    state: Annotated[list[JobState] | None, Query(description="in any of these states")] = None,
-    text: Annotated[str, Query(max_length=200, description="that the name or the id contains")] = "",
+    page: PageDep,
+    wanted: JobFilterDep,
     kind: Annotated[JobKind, Query(description="`run`: of networks on new footage")] = JobKind.TRAINING,
-    after: Annotated[str | None, Query(description="id of the last job of the page before")] = None,
 ) -> list[JobOut]:
     """The newest first."""
-    now = time.time()
-    found = services.jobs.jobs(site, limit, states=state or (), text=text, after=after, kind=kind)
-    return [JobOut.of(job, now) for job in found]
+    return job_lists.list_jobs(services, page, wanted, kind)
 
 
 @router.get("/jobs/{job_id}", summary="Look at a job", responses=documented(404))
@@ -94,9 +91,10 @@ def get(job_id: str, services: ServicesDep) -> JobOut:
     return _out(services.jobs.job(job_id))
 
 
-@router.patch("/jobs/{job_id}", summary="Rename a job", responses=documented(404, 422))
-def rename(job_id: str, body: JobChangeIn, services: ServicesDep) -> JobOut:
-    return _out(services.jobs.rename(job_id, body.name))
+@router.patch("/jobs/{job_id}", summary="Rename or tag a job", responses=documented(404, 422))
+def change(job_id: str, body: JobChangeIn, services: ServicesDep) -> JobOut:
+    """What is left out stays; tags take the place of those that the job has."""
+    return _out(services.jobs.change(job_id, name=body.name, tags=body.tags))
 
 
 @router.post("/jobs/{job_id}/share-link", summary="Share a job", responses=documented(404, 422))

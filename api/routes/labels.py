@@ -12,6 +12,7 @@ from fastapi import APIRouter, Header, Path, Query, Response
 from pydantic import BaseModel, ConfigDict, Field
 
 from api.bodies import BoundedJsonRoute
+from api.paging import PageDep
 from api.parameters import ONLY_KNOWN_PARAMETERS
 from api.problems import documented
 from api.routes.exports import ExportResponse
@@ -164,11 +165,18 @@ def labels(
     raise NotFound(f"there is no version {version} of these labels", hint="Its versions are listed by /versions.")
 
 
-@router.get("/instants/{time_ns}/versions", summary="Who saved an instant's labels when", responses=documented(422))
-def versions(job_id: str, time_ns: TimeNs, services: ServicesDep, name: SetName = "main") -> list[LabelVersionOut]:
+@router.get(
+    "/instants/{time_ns}/versions",
+    summary="Who saved an instant's labels when",
+    dependencies=[ONLY_KNOWN_PARAMETERS],
+    responses=documented(422),
+)
+def versions(
+    job_id: str, time_ns: TimeNs, services: ServicesDep, page: PageDep, name: SetName = "main"
+) -> list[LabelVersionOut]:
     """The oldest first. None is ever changed."""
-    of = _set(services.jobs.job(job_id), name)
-    return [LabelVersionOut(**_short(version)) for version in services.labels.versions(of, time_ns)]
+    found = services.labels.versions(_set(services.jobs.job(job_id), name), time_ns)
+    return [LabelVersionOut(**_short(one)) for one in page.of_all(found, lambda one: (one.version,), int)]
 
 
 @router.get("/instants/{time_ns}/proposal", summary="What to start labelling from", responses=documented(422))

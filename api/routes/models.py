@@ -11,7 +11,9 @@ from starlette.responses import FileResponse
 
 from api.addresses import address
 from api.bodies import BoundedJsonRoute
+from api.job_lists import JobFilterDep, list_jobs
 from api.model_schemas import FootageChangeIn, FootageOut, ModelChangeIn, ModelIn, ModelOut, RunIn
+from api.paging import MadeDep, PageDep, Text, Time
 from api.parameters import ONLY_KNOWN_PARAMETERS
 from api.problems import documented
 from api.schemas import JobOut
@@ -31,16 +33,19 @@ footage_router = APIRouter(
 @router.get("", summary="List models", dependencies=[ONLY_KNOWN_PARAMETERS], responses=documented(404, 422))
 def list_models(
     services: ServicesDep,
+    page: PageDep,
+    made: MadeDep,
     site: Annotated[str | None, Query(description="of this site alone")] = None,
     job: Annotated[str | None, Query(description="made by this job")] = None,
-    state: Annotated[list[ModelState] | None, Query(description="in any of these states")] = None,
-    limit: Annotated[int, Query(ge=1, le=1000)] = 100,
-    after: Annotated[str | None, Query(description="id of the last one of the page before")] = None,
+    state: Annotated[list[ModelState] | None, Query(max_length=10, description="in any of these states")] = None,
+    text: Text = "",
 ) -> list[ModelOut]:
     """The newest first. Every job that has fine-tuned, evaluated and used a network has one here."""
     services.keeper.keep_all()
-    found = services.models.models(site, limit, job_id=job, states=state or (), after=after)
-    return [ModelOut.of(model) for model in found]
+    found = services.models.models(
+        site, page.one_more, job_id=job, states=state or (), text=text, made=made, after=page.place
+    )
+    return [ModelOut.of(model) for model in page.cut(found, lambda model: (model.created_at, model.id))]
 
 
 @router.post("", status_code=201, summary="Keep a model", responses=documented(404, 409, 413, 422, 503))
@@ -121,34 +126,48 @@ def run(
     and so are its tracks and conflicts. Several files of a camera are one piece of footage; where all files say when
     they began, times are Unix time.
     """
-    asked = RunRequest(body.files, body.options, body.site_id, body.continues, body.name)
+    asked = RunRequest(body.files, body.options, body.site_id, body.continues, body.name, body.tags)
     job, ready = services.runs.create(model_id, asked, idempotency_key)
     services.queue.dispatch(services.reuse.settle(ready))
     response.headers["Location"] = address(request, f"/v1/jobs/{job.id}")
     return JobOut.of(services.jobs.job(job.id), time.time())
 
 
-@router.get("/{model_id}/runs", summary="List the runs of a model", dependencies=[ONLY_KNOWN_PARAMETERS])
-def runs(
-    model_id: str,
-    services: ServicesDep,
-    limit: Annotated[int, Query(ge=1, le=1000)] = 100,
-    after: Annotated[str | None, Query(description="id of the last one of the page before")] = None,
-) -> list[JobOut]:
+@router.get(
+    "/{model_id}/runs",
+    summary="List the runs of a model",
+    dependencies=[ONLY_KNOWN_PARAMETERS],
+    responses=documented(422),
+)
+def runs(model_id: str, services: ServicesDep, page: PageDep, wanted: JobFilterDep) -> list[JobOut]:
     """The newest first."""
-    found = services.jobs.jobs(None, limit, kind=JobKind.RUN, model_id=model_id, after=after)
-    return [JobOut.of(job, time.time()) for job in found]
+    return list_jobs(services, page, wanted, JobKind.RUN, model_id)
 
 
-@footage_router.get("", summary="List the footage of a site", dependencies=[ONLY_KNOWN_PARAMETERS])
+@footage_router.get(
+    "", summary="List the footage of a site", dependencies=[ONLY_KNOWN_PARAMETERS], responses=documented(422)
+)
 def footage(
     site_id: str,
     services: ServicesDep,
+    page: PageDep,
     camera: Annotated[str | None, Query(description="of this camera alone")] = None,
+    start: Annotated[Time, Query(alias="from", description="that began then or later; ISO 8601 with offset")] = None,
+    end: Annotated[Time, Query(alias="to", description="that began before")] = None,
 ) -> list[FootageOut]:
-    """By camera, then by name: what was uploaded with the purpose `footage`, and the recordings."""
-    files = services.sites.footage(site_id)
-    return [FootageOut.of(file) for file in files if camera is None or file.camera_id == camera]
+    """By camera, then by name: what was uploaded with the purpose `footage`, and the recordings. Files of which nobody
+    said when they began are left out where a time is asked for.
+    """
+    first_ns, last_ns = (None if text is None else parse_time(text) for text in (start, end))
+    files = [
+        file
+        for file in services.sites.footage(site_id)
+        if (camera is None or file.camera_id == camera)
+        and (first_ns is None or (file.started_ns is not None and file.started_ns >= first_ns))
+        and (last_ns is None or (file.started_ns is not None and file.started_ns < last_ns))
+    ]
+    found = page.of_all(files, lambda file: (file.camera_id, file.filename, file.id), *[str] * 3)
+    return [FootageOut.of(file) for file in found]
 
 
 @footage_router.patch("/{file_id}", summary="Say when footage began", responses=documented(422))

@@ -11,6 +11,7 @@ from fastapi import APIRouter, Query
 from pydantic import Field
 from starlette.responses import FileResponse, JSONResponse, Response, StreamingResponse
 
+from api.paging import PageDep
 from api.parameters import ONLY_KNOWN_PARAMETERS
 from api.problems import documented
 from api.schemas import ArtifactOut, ReportLinkOut
@@ -147,10 +148,26 @@ def conflicts(
     return StreamingResponse(conflicts_csv(document, verdicts), media_type="text/csv; charset=utf-8", headers=headers)
 
 
-@router.get("/artifacts", summary="List the files of a job")
-def artifacts(job_id: str, services: ServicesDep) -> list[ArtifactOut]:
-    """Everything that its finished stages wrote."""
-    return [ArtifactOut.of(file) for file in services.results.files(services.jobs.job(job_id))]
+@router.get(
+    "/artifacts",
+    summary="List the files of a job",
+    dependencies=[ONLY_KNOWN_PARAMETERS],
+    responses=documented(422),
+)
+def artifacts(
+    job_id: str,
+    services: ServicesDep,
+    page: PageDep,
+    stage: Annotated[list[str] | None, Query(max_length=100, description="written by any of these stages")] = None,
+    artifact: Annotated[list[str] | None, Query(max_length=100, description="that are a part of any of these")] = None,
+) -> list[ArtifactOut]:
+    """Everything that its finished stages wrote, by its id."""
+    files = [
+        file
+        for file in services.results.files(services.jobs.job(job_id))
+        if (not stage or file.stage in stage) and (not artifact or file.artifact.name in artifact)
+    ]
+    return [ArtifactOut.of(file) for file in page.of_all(files, lambda file: (file.id,), str)]
 
 
 @router.get("/artifacts/{stage}/{name:path}", summary="Download a file of a job", response_class=FileResponse)

@@ -8,6 +8,8 @@ from typing import Annotated
 from fastapi import APIRouter, Path
 from pydantic import BaseModel, ConfigDict, Field
 
+from api.paging import PageDep
+from api.parameters import ONLY_KNOWN_PARAMETERS
 from api.problems import documented
 from api.services import Services, ServicesDep
 from wibam_core.adapters.review_store import ConflictReview, Verdict
@@ -45,11 +47,17 @@ class ReviewOut(BaseModel):
         )
 
 
-@router.get("/reviews", summary="List the reviews of conflicts")
-def reviews(job_id: str, services: ServicesDep) -> list[ReviewOut]:
+@router.get(
+    "/reviews",
+    summary="List the reviews of conflicts",
+    dependencies=[ONLY_KNOWN_PARAMETERS],
+    responses=documented(422),
+)
+def reviews(job_id: str, services: ServicesDep, page: PageDep) -> list[ReviewOut]:
     """Of the conflicts as they are now: when the job's safety stage makes others, reviews of the earlier ones are kept,
     and come back with them."""
-    return [ReviewOut.of(review) for review in services.reviews.reviews(job_id, _hash(services, job_id))]
+    found = services.reviews.reviews(job_id, _hash(services, job_id))
+    return [ReviewOut.of(review) for review in page.of_all(found, lambda review: (review.conflict_id,), int)]
 
 
 @router.put("/{conflict_id}/review", summary="Review a conflict", responses=documented(422))

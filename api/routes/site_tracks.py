@@ -10,6 +10,7 @@ from fastapi import APIRouter, Depends, Query
 from pydantic import BaseModel, Field
 from starlette.responses import JSONResponse, Response, StreamingResponse
 
+from api.paging import PageDep, Time
 from api.parameters import ONLY_KNOWN_PARAMETERS
 from api.problems import documented
 from api.services import ServicesDep
@@ -23,8 +24,6 @@ from wibam_core.road_users import RoadUserClass
 
 router = APIRouter(prefix="/v1/sites/{site_id}/tracks", tags=["models"], responses=documented(401, 404, 422))
 _PAGE = 1000
-_TIME = "2026-07-01T08:00:00+02:00"
-Time = Annotated[str | None, Query(max_length=60, examples=[_TIME])]
 
 
 class SiteTrackState(TrackState):
@@ -145,10 +144,11 @@ def tracks(
 
 
 @router.get("/parts", summary="What a site's table of tracks holds", dependencies=[ONLY_KNOWN_PARAMETERS])
-def parts(site_id: str, services: ServicesDep) -> list[SitePartOut]:
+def parts(site_id: str, services: ServicesDep, page: PageDep) -> list[SitePartOut]:
     """The runs and jobs, by time."""
     _there(services, site_id)
-    return [SitePartOut.of(part) for part in services.site_tracks.parts(site_id) if part.states]
+    found = [part for part in services.site_tracks.parts(site_id) if part.states]
+    return [SitePartOut.of(part) for part in page.of_all(found, lambda part: (part.start_ns, part.run_id), int, str)]
 
 
 @router.get("/counts", summary="Road users by hour, day or month", dependencies=[ONLY_KNOWN_PARAMETERS])
@@ -156,11 +156,14 @@ def counts(
     site_id: str,
     services: ServicesDep,
     query: Asked,
+    page: PageDep,
     by: Annotated[Bin, Query(description="UTC")] = "hour",
 ) -> list[CountOut]:
     """How many road users of each class were seen, and how fast they were; with the same filters as the tracks."""
     _there(services, site_id)
-    return [CountOut(**vars(count)) for count in services.site_tracks.counts(site_id, query, by)]
+    found = services.site_tracks.counts(site_id, query, by)
+    counted = page.of_all(found, lambda one: (one.start.timestamp(), one.road_user_class), float, str)
+    return [CountOut(**vars(count)) for count in counted]
 
 
 def _there(services: ServicesDep, site_id: str) -> None:

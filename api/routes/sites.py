@@ -2,9 +2,13 @@
 
 from __future__ import annotations
 
-from fastapi import APIRouter
+from typing import Annotated
+
+from fastapi import APIRouter, Query
 
 from api.bodies import BoundedJsonRoute
+from api.paging import MadeDep, PageDep, Text
+from api.parameters import ONLY_KNOWN_PARAMETERS
 from api.problems import documented
 from api.schemas import RecordingOut, SiteOut
 from api.services import Services, ServicesDep
@@ -24,10 +28,11 @@ def create(site: Site, services: ServicesDep) -> SiteOut:
     return SiteOut.of(services.sites.add_site(site))
 
 
-@router.get("", summary="List sites")
-def list_sites(services: ServicesDep) -> list[SiteOut]:
+@router.get("", summary="List sites", dependencies=[ONLY_KNOWN_PARAMETERS], responses=documented(422))
+def list_sites(services: ServicesDep, page: PageDep, made: MadeDep, text: Text = "") -> list[SiteOut]:
     """The newest first."""
-    return [SiteOut.of(record) for record in services.sites.sites()]
+    found = services.sites.sites(page.one_more, text=text, made=made, after=page.place)
+    return [SiteOut.of(record) for record in page.cut(found, lambda record: (record.created_at, record.id))]
 
 
 @router.get("/{site_id}", summary="Look at a site", responses=documented(404))
@@ -54,10 +59,26 @@ def delete(site_id: str, services: ServicesDep) -> None:
         services.folder.remove_file(file_id)
 
 
-@router.get("/{site_id}/recordings", summary="List the files of a site", responses=documented(404))
-def recordings(site_id: str, services: ServicesDep) -> list[RecordingOut]:
-    """Recordings by camera, labels, detector and network. Upload again to replace one."""
-    files = services.sites.files(site_id)
+@router.get(
+    "/{site_id}/recordings",
+    summary="List the files of a site",
+    dependencies=[ONLY_KNOWN_PARAMETERS],
+    responses=documented(404, 422),
+)
+def recordings(
+    site_id: str,
+    services: ServicesDep,
+    page: PageDep,
+    purpose: Annotated[list[Purpose] | None, Query(max_length=10, description="for any of these purposes")] = None,
+    camera: Annotated[list[str] | None, Query(max_length=100, description="of any of these cameras")] = None,
+) -> list[RecordingOut]:
+    """Detector, labels, network, and the recordings by camera. Upload again to replace one."""
+    wanted = [
+        file
+        for file in services.sites.files(site_id)
+        if (not purpose or file.purpose in purpose) and (not camera or file.camera_id in camera)
+    ]
+    files = page.of_all(wanted, lambda file: (file.purpose.value, file.camera_id, file.filename, file.id), *[str] * 4)
     probes = _probes(services, site_id)
     return [RecordingOut.of(file, probes.get(file.id) if file.purpose is Purpose.RECORDING else None) for file in files]
 

@@ -15,7 +15,7 @@ from wibam_core.stages.graph import STAGES, downstream
 @pytest.fixture(scope="module")
 def job(api: LiveApi) -> str:
     job_id = finished_job(api)
-    api.services.jobs.rename(job_id, "first try")
+    api.services.jobs.change(job_id, name="first try")
     return job_id
 
 

@@ -9,6 +9,7 @@ from sqlalchemy import delete, select
 
 from wibam_core.adapters.database import Database
 from wibam_core.adapters.models import AuditRow
+from wibam_core.adapters.paging import EVER, Span
 from wibam_core.adapters.records import plain_text
 from wibam_core.jobs.access import AuditLine
 
@@ -41,15 +42,18 @@ class AuditStore:
                 )
             )
 
-    def lines(self, *, before: int | None = None, who: str | None = None, limit: int = 100) -> list[AuditLine]:
+    def lines(
+        self, *, before: int | None = None, who: str | None = None, limit: int = 100, made: Span = EVER
+    ) -> list[AuditLine]:
         """Lines, the newest first.
 
         Args:
             before: only lines with smaller ids.
             who: of this one alone.
             limit: how many at most.
+            made: when.
         """
-        wanted = select(AuditRow).order_by(AuditRow.id.desc()).limit(limit)
+        wanted = select(AuditRow).where(*made.holds(AuditRow.at)).order_by(AuditRow.id.desc()).limit(limit)
         if before is not None:
             wanted = wanted.where(AuditRow.id < before)
         if who is not None:

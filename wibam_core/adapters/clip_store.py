@@ -14,6 +14,7 @@ from wibam_core.adapters.database import Database
 from wibam_core.adapters.job_rows import job_row
 from wibam_core.adapters.lease_store import LostLease
 from wibam_core.adapters.models import ClipRow
+from wibam_core.adapters.paging import EVER, Place, Span, newest_first
 from wibam_core.documents.clips import ClipFacts, ClipSpec
 from wibam_core.errors import Conflict, NotFound, StageCrashed, WibamError
 from wibam_core.jobs.clips import Clip, ClipClaim, ClipState
@@ -67,18 +68,33 @@ class ClipStore:
             session.flush()
             return _clip(row)
 
-    def clips(self, job_id: str) -> list[Clip]:
-        """All clips of a job, the newest first.
+    def clips(
+        self,
+        job_id: str,
+        limit: int | None = None,
+        *,
+        states: Collection[ClipState] = (),
+        made: Span = EVER,
+        after: Place | None = None,
+    ) -> list[Clip]:
+        """The clips of a job, the newest first.
+
+        Args:
+            job_id: whose.
+            limit: how many at most; None: all.
+            states: in one of these; none: in any.
+            made: when they were asked for.
+            after: only those that follow this place in the list.
 
         Raises:
             NotFound: there is no such job.
         """
+        wanted = select(ClipRow).where(ClipRow.job_id == job_id, *made.holds(ClipRow.created_at))
+        if states:
+            wanted = wanted.where(ClipRow.state.in_([state.value for state in states]))
         with self._database.reading() as session:
             job_row(session, job_id)
-            rows = session.scalars(
-                select(ClipRow).where(ClipRow.job_id == job_id).order_by(ClipRow.created_at.desc(), ClipRow.id)
-            )
-            return [_clip(row) for row in rows]
+            return [_clip(row) for row in session.scalars(newest_first(wanted, ClipRow, limit, after))]
 
     def clip(self, job_id: str, clip_id: str) -> Clip:
         """Raises:

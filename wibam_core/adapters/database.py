@@ -11,6 +11,7 @@ from typing import Any
 import sqlalchemy
 from alembic import command
 from alembic.config import Config
+from pydantic_core import from_json
 from sqlalchemy import Connection, Engine, event, make_url
 from sqlalchemy.exc import OperationalError
 from sqlalchemy.orm import Session
@@ -93,8 +94,12 @@ def sqlite_url(path: Path) -> str:
 
 def _create_engine(url: str) -> Engine:
     if make_url(url).get_backend_name() != "sqlite":
-        return sqlalchemy.create_engine(url, pool_pre_ping=True, pool_size=10, max_overflow=20)
-    engine = sqlalchemy.create_engine(url, connect_args={"timeout": _BUSY_TIMEOUT_MS / 1000})
+        return sqlalchemy.create_engine(
+            url, json_deserializer=from_json, pool_pre_ping=True, pool_size=10, max_overflow=20
+        )
+    engine = sqlalchemy.create_engine(
+        url, json_deserializer=from_json, connect_args={"timeout": _BUSY_TIMEOUT_MS / 1000}
+    )
     event.listen(engine, "connect", _prepare_sqlite)
     event.listen(engine, "begin", _begin_sqlite)
     return engine

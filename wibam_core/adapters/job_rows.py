@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from typing import Any, NamedTuple
 
-from sqlalchemy import delete, func, select
+from sqlalchemy import Row, delete, func, select
 from sqlalchemy.orm import Session
 
 from wibam_core.adapters import records
-from wibam_core.adapters.models import EventRow, FileRow, JobFileRow, JobRow, StageRow
+from wibam_core.adapters.models import EventRow, FileRow, JobFileRow, JobRow, JobTagRow, StageRow
 from wibam_core.errors import NotFound
 from wibam_core.jobs.machine import Settlement, StageNode, check_job_move, check_stage_move, settle
 from wibam_core.jobs.records import EventKind, Job, StoredFile
@@ -51,11 +51,21 @@ def job_record(session: Session, row: JobRow) -> Job:
 def job_records(session: Session, rows: Sequence[JobRow]) -> list[Job]:
     """Whole jobs, in as many queries as one takes."""
     ids = [row.id for row in rows]
-    stages: dict[str, list[StageRow]] = {job_id: [] for job_id in ids}
-    for stage in session.scalars(select(StageRow).where(StageRow.job_id.in_(ids)).order_by(StageRow.position)):
+    stages: dict[str, list[Row[Any]]] = {job_id: [] for job_id in ids}
+    # plain rows: they are read once, and a list of jobs has thousands
+    columns = select(*StageRow.__table__.columns)
+    for stage in session.execute(columns.where(StageRow.job_id.in_(ids)).order_by(StageRow.position)):
         stages[stage.job_id].append(stage)
     files = _files_of(session, ids)
-    return [records.job(row, files[row.id], stages[row.id]) for row in rows]
+    tags: dict[str, list[str]] = {job_id: [] for job_id in ids}
+    for tag in session.scalars(select(JobTagRow).where(JobTagRow.job_id.in_(ids)).order_by(JobTagRow.tag)):
+        tags[tag.job_id].append(tag.tag)
+    return [records.job(row, files[row.id], stages[row.id], tags[row.id]) for row in rows]
+
+
+def add_tags(session: Session, job_id: str, tags: Collection[str]) -> None:
+    """Mark a job that has no tags yet."""
+    session.add_all(JobTagRow(job_id=job_id, tag=tag) for tag in sorted({records.plain_text(tag) for tag in tags}))
 
 
 def job_files(session: Session, job_id: str) -> list[StoredFile]:

@@ -15,6 +15,7 @@ from wibam_core.adapters.database import Database
 from wibam_core.adapters.job_rows import (
     StageKey,
     add_event,
+    add_tags,
     apply,
     job_record,
     job_records,
@@ -24,7 +25,8 @@ from wibam_core.adapters.job_rows import (
     stage_rows,
 )
 from wibam_core.adapters.model_store import model_row
-from wibam_core.adapters.models import EventRow, FileRow, JobFileRow, JobRow, SiteRow, StageRow
+from wibam_core.adapters.models import EventRow, FileRow, JobFileRow, JobRow, JobTagRow, SiteRow, StageRow
+from wibam_core.adapters.paging import EVER, Place, Span, newest_first
 from wibam_core.adapters.planning import made_anew
 from wibam_core.errors import Conflict, NotFound
 from wibam_core.job_kind import JobKind
@@ -65,6 +67,7 @@ class JobStore:
         idempotency_key: str | None = None,
         name: str = "",
         run: RunOf | None = None,
+        tags: Collection[str] = (),
     ) -> tuple[Job, list[StageKey]]:
         """A new job, and the stages to dispatch; with a key that was used before, the job it made, and nothing.
 
@@ -103,6 +106,7 @@ class JobStore:
             session.add(row)
             session.flush()
             session.add_all(JobFileRow(job_id=row.id, file_id=file.id) for file in files)
+            add_tags(session, row.id, tags)
             session.add_all(_fresh_stage(row.id, position, planned) for position, planned in enumerate(plan))
             add_event(session, row, EventKind.JOB, now, state=row.state)
             session.flush()
@@ -124,9 +128,11 @@ class JobStore:
         *,
         states: Collection[JobState] = (),
         text: str = "",
-        after: str | None = None,
+        after: Place | None = None,
         kind: JobKind | None = None,
         model_id: str | None = None,
+        tags: Collection[str] = (),
+        made: Span = EVER,
     ) -> list[Job]:
         """Jobs, the newest first.
 
@@ -135,14 +141,13 @@ class JobStore:
             limit: how many at most.
             states: in one of these; none: in any.
             text: that the name or the id contains, whatever the case of its letters.
-            after: only those that follow this job in the list.
+            after: only those that follow this place in the list.
             kind: of this kind alone.
             model_id: runs of this network alone.
-
-        Raises:
-            NotFound: there is no job ``after``.
+            tags: that have all of these.
+            made: when they were created.
         """
-        newest = select(JobRow).order_by(JobRow.created_at.desc(), JobRow.id).limit(limit)
+        newest = newest_first(select(JobRow).where(*made.holds(JobRow.created_at)), JobRow, limit, after)
         if site_id is not None:
             newest = newest.where(JobRow.site_id == site_id)
         if kind is not None:
@@ -152,23 +157,27 @@ class JobStore:
         if states:
             newest = newest.where(JobRow.state.in_([state.value for state in states]))
         if text:
-            newest = newest.where(or_(JobRow.name.icontains(text, autoescape=True), JobRow.id.contains(text)))
+            newest = newest.where(
+                or_(JobRow.name.icontains(text, autoescape=True), JobRow.id.contains(text, autoescape=True))
+            )
+        for tag in tags:
+            newest = newest.where(JobRow.id.in_(select(JobTagRow.job_id).where(JobTagRow.tag == tag)))
         with self._database.reading() as session:
-            if after is not None:
-                last = job_row(session, after)
-                older = JobRow.created_at < last.created_at
-                newest = newest.where(or_(older, (JobRow.created_at == last.created_at) & (JobRow.id > last.id)))
             return job_records(session, session.scalars(newest).all())
 
-    def rename(self, job_id: str, name: str) -> Job:
-        """Call a job something.
+    def change(self, job_id: str, *, name: str | None = None, tags: Collection[str] | None = None) -> Job:
+        """Call a job something, and mark it with tags in place of those that it has; None leaves them.
 
         Raises:
             NotFound: there is no such job.
         """
         with self._database.writing() as session:
             row = job_row(session, job_id, lock=True)
-            row.name = records.plain_text(name)
+            if name is not None:
+                row.name = records.plain_text(name)
+            if tags is not None:
+                session.execute(delete(JobTagRow).where(JobTagRow.job_id == job_id))
+                add_tags(session, job_id, tags)
             session.flush()
             return job_record(session, row)
 

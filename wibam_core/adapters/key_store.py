@@ -11,6 +11,7 @@ from sqlalchemy import select, update
 from wibam_core.adapters import records
 from wibam_core.adapters.database import Database
 from wibam_core.adapters.models import ApiKeyRow
+from wibam_core.adapters.paging import EVER, Place, Span, newest_first
 from wibam_core.adapters.settings import token_digest
 from wibam_core.errors import InputError, NotFound
 from wibam_core.jobs.access import ApiKey, Scope
@@ -55,11 +56,17 @@ class KeyStore:
             session.flush()
             return _key(row), secret
 
-    def all(self) -> list[ApiKey]:
-        """All keys, the newest first; those too that no longer work."""
+    def keys(self, limit: int | None = None, *, made: Span = EVER, after: Place | None = None) -> list[ApiKey]:
+        """Keys, the newest first; those too that no longer work.
+
+        Args:
+            limit: how many at most; None: all.
+            made: when they were made.
+            after: only those that follow this place in the list.
+        """
+        wanted = newest_first(select(ApiKeyRow).where(*made.holds(ApiKeyRow.created_at)), ApiKeyRow, limit, after)
         with self._database.reading() as session:
-            rows = session.scalars(select(ApiKeyRow).order_by(ApiKeyRow.created_at.desc(), ApiKeyRow.id))
-            return [_key(row) for row in rows]
+            return [_key(row) for row in session.scalars(wanted)]
 
     def find(self, secret: str) -> ApiKey | None:
         """The key with this secret if it works, and note that it is used."""

@@ -13,6 +13,7 @@ from sqlalchemy.orm import Session
 from wibam_core.adapters import records
 from wibam_core.adapters.database import Database
 from wibam_core.adapters.models import JobRow, StageRow, TrainedModelRow
+from wibam_core.adapters.paging import EVER, Place, Span, newest_first
 from wibam_core.documents.trained_model import ModelDocument
 from wibam_core.errors import Conflict, NotFound
 from wibam_core.job_kind import JobKind
@@ -93,7 +94,9 @@ class ModelStore:
         *,
         job_id: str | None = None,
         states: Collection[ModelState] = (),
-        after: str | None = None,
+        text: str = "",
+        made: Span = EVER,
+        after: Place | None = None,
     ) -> list[TrainedModel]:
         """Networks, the newest first.
 
@@ -102,25 +105,24 @@ class ModelStore:
             limit: how many at most.
             job_id: made by this job.
             states: in one of these; none: in any.
-            after: only those that follow this one in the list.
-
-        Raises:
-            NotFound: there is no network ``after``.
+            text: that the name or the id contains, whatever the case of its letters.
+            made: when they were kept.
+            after: only those that follow this place in the list.
         """
-        newest = select(TrainedModelRow).where(TrainedModelRow.state != _DELETED)
-        newest = newest.order_by(TrainedModelRow.created_at.desc(), TrainedModelRow.id).limit(limit)
+        newest = select(TrainedModelRow).where(
+            TrainedModelRow.state != _DELETED, *made.holds(TrainedModelRow.created_at)
+        )
+        newest = newest_first(newest, TrainedModelRow, limit, after)
         if site_id is not None:
             newest = newest.where(TrainedModelRow.site_id == site_id)
         if job_id is not None:
             newest = newest.where(TrainedModelRow.job_id == job_id)
         if states:
             newest = newest.where(TrainedModelRow.state.in_([state.value for state in states]))
+        if text:
+            named = TrainedModelRow.name.icontains(text, autoescape=True)
+            newest = newest.where(named | TrainedModelRow.id.contains(text, autoescape=True))
         with self._database.reading() as session:
-            if after is not None:
-                last = model_row(session, after)
-                older = TrainedModelRow.created_at < last.created_at
-                same = (TrainedModelRow.created_at == last.created_at) & (TrainedModelRow.id > last.id)
-                newest = newest.where(older | same)
             return [records.trained_model(row) for row in session.scalars(newest)]
 
     def model(self, model_id: str) -> TrainedModel:

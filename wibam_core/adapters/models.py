@@ -147,6 +147,13 @@ class JobRow(Base):
     continues: Mapped[str | None] = mapped_column(String(64))
 
 
+class JobTagRow(Base):
+    __tablename__ = "job_tags"
+
+    job_id: Mapped[str] = mapped_column(ForeignKey("jobs.id", ondelete="CASCADE"), primary_key=True)
+    tag: Mapped[str] = mapped_column(String(64), primary_key=True, index=True)
+
+
 class JobFileRow(Base):
     __tablename__ = "job_files"
 

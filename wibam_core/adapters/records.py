@@ -5,7 +5,10 @@ from __future__ import annotations
 import math
 import secrets
 from collections.abc import Iterable, Mapping
+from functools import lru_cache
 from typing import Any
+
+from sqlalchemy import Row
 
 from wibam_core.adapters.models import EventRow, FileRow, JobRow, SiteRow, StageRow, TrainedModelRow, UploadRow
 from wibam_core.documents.trained_model import ModelDocument
@@ -50,8 +53,14 @@ def plain_json(value: Any) -> Any:
     return value
 
 
+@lru_cache(maxsize=256)
+def _site(document: str) -> Site:
+    """A site, which nothing changes: the jobs of a list are mostly of a few sites."""
+    return Site.model_validate_json(document)
+
+
 def site_record(row: SiteRow) -> SiteRecord:
-    return SiteRecord(row.id, Site.model_validate_json(row.document), row.created_at)
+    return SiteRecord(row.id, _site(row.document), row.created_at)
 
 
 def stored_file(row: FileRow) -> StoredFile:
@@ -85,7 +94,7 @@ def upload(row: UploadRow) -> Upload:
     )
 
 
-def stage_run(row: StageRow) -> StageRun:
+def stage_run(row: StageRow | Row[Any]) -> StageRun:
     return StageRun(
         job_id=row.job_id,
         name=row.name,
@@ -109,11 +118,11 @@ def stage_run(row: StageRow) -> StageRun:
     )
 
 
-def job(row: JobRow, files: Iterable[StoredFile], stages: Iterable[StageRow]) -> Job:
+def job(row: JobRow, files: Iterable[StoredFile], stages: Iterable[StageRow | Row[Any]], tags: Iterable[str]) -> Job:
     return Job(
         id=row.id,
         site_id=row.site_id,
-        site=Site.model_validate_json(row.site_document),
+        site=_site(row.site_document),
         options=row.options,
         files=tuple(files),
         stages=tuple(stage_run(stage) for stage in stages),
@@ -124,6 +133,7 @@ def job(row: JobRow, files: Iterable[StoredFile], stages: Iterable[StageRow]) ->
         error=row.error,
         restarts=row.restarts,
         name=row.name,
+        tags=tuple(tags),
         kind=JobKind(row.kind),
         model_id=row.model_id,
         continues=row.continues,

@@ -31,6 +31,7 @@ class RunRequest:
         site_id: None: that of the network.
         options: of the stages of a run.
         continues: the run before, of the same cameras: who is in view at the joint keeps their id.
+        name, tags: of the job.
     """
 
     files: Sequence[str]
@@ -38,6 +39,7 @@ class RunRequest:
     site_id: str | None = None
     continues: str | None = None
     name: str = ""
+    tags: Sequence[str] = ()
 
 
 class Runs:
@@ -85,7 +87,14 @@ class Runs:
         of_run = SiteRecord(record.id, site, record.created_at)
         name = request.name or f"{model.name}, version {model.version}"
         return self._jobs.create(
-            of_run, request.options, files, planned, idempotency_key, name[:200], RunOf(model.id, request.continues)
+            of_run,
+            request.options,
+            files,
+            planned,
+            idempotency_key,
+            name[:200],
+            RunOf(model.id, request.continues),
+            request.tags,
         )
 
     def plan_again(self, run: Job, options: Mapping[str, Any]) -> tuple[PlannedStage, ...]:

@@ -13,6 +13,7 @@ from wibam_core.adapters import records
 from wibam_core.adapters.counters import Counted, count
 from wibam_core.adapters.database import Database
 from wibam_core.adapters.models import FileRow, JobFileRow, JobRow, SiteRow, UploadRow
+from wibam_core.adapters.paging import EVER, Place, Span, newest_first
 from wibam_core.adapters.site_rules import camera_of, check_camera, check_listed, check_quota, retire_unlisted
 from wibam_core.errors import Conflict, InputError, NotFound
 from wibam_core.jobs.records import Purpose, SiteRecord, StoredFile, Upload
@@ -63,11 +64,27 @@ class SiteStore:
             session.add(SiteRow(id=record.id, document=site.model_dump_json(), created_at=record.created_at))
         return record
 
-    def sites(self) -> list[SiteRecord]:
-        """All sites, the newest first."""
+    def sites(
+        self, limit: int | None = None, *, text: str = "", made: Span = EVER, after: Place | None = None
+    ) -> list[SiteRecord]:
+        """Sites, the newest first.
+
+        Args:
+            limit: how many at most; None: all.
+            text: that the name or the id contains, whatever the case of its letters.
+            made: when they were described first.
+            after: only those that follow this place in the list.
+        """
+        wanted = newest_first(select(SiteRow).where(*made.holds(SiteRow.created_at)), SiteRow, None, after)
+        found: list[SiteRecord] = []
         with self._database.reading() as session:
-            rows = session.scalars(select(SiteRow).order_by(SiteRow.created_at.desc(), SiteRow.id))
-            return [records.site_record(row) for row in rows]
+            for row in session.scalars(wanted):  # names are inside the documents, which differ in form by database
+                record = records.site_record(row)
+                if text.casefold() in record.site.name.casefold() or text in record.id:
+                    found.append(record)
+                if len(found) == limit:
+                    break
+        return found
 
     def site(self, site_id: str) -> SiteRecord:
         """Raises:

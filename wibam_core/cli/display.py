@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from types import TracebackType
 from typing import Any
@@ -45,6 +45,19 @@ def print_list(console: Console, table: Table) -> None:
     if width > console.width or not console.is_terminal:
         table.width = width
     console.print(table, crop=False, soft_wrap=False)
+
+
+def print_rows(ids: Sequence[str], others: Sequence[str], rows: Iterable[Sequence[str]]) -> None:
+    """Print a list: the titles of its columns of ids, those of the others, and its rows of plain text."""
+    table = list_table(*ids, others=others)
+    for row in rows:
+        table.add_row(*map(escape, row))
+    print_list(Console(), table)
+
+
+def to_minute(time: str | None, without: str = "") -> str:
+    """A time of the service as lists show it (UTC); ``without`` where there is none."""
+    return without if time is None else time[:16].replace("T", " ")
 
 
 def print_warning(console: Console, warning: StageWarning) -> None:

@@ -10,11 +10,13 @@ from rich.console import Console
 from rich.markup import escape
 from rich.table import Table
 
-from wibam_core.cli.display import list_table, print_list, print_warning, time_left
+from wibam_core.cli.display import print_rows, print_warning, time_left, to_minute
 from wibam_core.cli.run import parse_options
 from wibam_core.cli.service import DEFAULT_URL, JobDisplay, Token, Url, connect
 from wibam_core.cli.service import watch as watch_job
 from wibam_core.client import JobView
+from wibam_core.job_kind import JobKind
+from wibam_core.jobs.states import JobState
 
 app = typer.Typer(help="Look at the jobs of a service, and steer them.", no_args_is_help=True)
 JobId = Annotated[str, typer.Argument(help="The id of a job.")]
@@ -25,20 +27,52 @@ def list_jobs(
     url: Url = DEFAULT_URL,
     token: Token = "",
     site: Annotated[str | None, typer.Option(help="Of this site alone.")] = None,
+    state: Annotated[list[JobState] | None, typer.Option(help="In any of these states.")] = None,
+    tag: Annotated[list[str] | None, typer.Option(help="With all of these tags.")] = None,
+    text: Annotated[str, typer.Option(help="That the name or the id contains.")] = "",
+    kind: Annotated[JobKind, typer.Option(help="Trainings, or runs of networks.")] = JobKind.TRAINING,
+    start: Annotated[
+        str | None, typer.Option("--from", help="Created then or later, like 2026-07-01T08:00:00+02:00.")
+    ] = None,
+    end: Annotated[str | None, typer.Option("--to", help="Created before.")] = None,
+    most: Annotated[int, typer.Option(help="How many at most.", min=1)] = 100,
 ) -> None:
     """List jobs, the newest first."""
-    table = list_table("job", "site", others=("state", "done", "created (UTC)", "stage"))
     with connect(url, token) as client:
-        for job in client.jobs(site):
-            table.add_row(
-                job.id,
-                job.site_id,
-                job.state.value,
-                f"{job.fraction:.0%}",
-                job.created_at[:16].replace("T", " "),
-                _current_stage(job),
-            )
-    print_list(Console(), table)
+        jobs = client.jobs(
+            site, states=state or (), tags=tag or (), text=text, kind=kind, start=start, end=end, most=most
+        )
+    rows = (
+        (
+            job.id,
+            job.site_id,
+            job.state.value,
+            f"{job.fraction:.0%}",
+            to_minute(job.created_at),
+            _current_stage(job),
+            job.name,
+            ", ".join(job.tags),
+        )
+        for job in jobs
+    )
+    print_rows(("job", "site"), ("state", "done", "created (UTC)", "stage", "name", "tags"), rows)
+
+
+@app.command()
+def mark(
+    job_id: JobId,
+    url: Url = DEFAULT_URL,
+    token: Token = "",
+    name: Annotated[str | None, typer.Option(help="What you call it.")] = None,
+    tag: Annotated[list[str] | None, typer.Option(help="In place of the tags that it has.")] = None,
+    no_tags: Annotated[bool, typer.Option("--no-tags", help="Take its tags away.")] = False,
+) -> None:
+    """Call a job something, and give it tags by which it is found again."""
+    if tag and no_tags:
+        raise typer.BadParameter("--tag and --no-tags say the opposite", param_hint="--no-tags")
+    with connect(url, token) as client:
+        job = client.change_job(job_id, name=name, tags=[] if no_tags else tag or None)
+    Console().print(f"{job.id}: {escape(job.name or 'no name')}; {escape(', '.join(job.tags) or 'no tags')}")
 
 
 @app.command()
@@ -69,6 +103,8 @@ def create(
     url: Url = DEFAULT_URL,
     token: Token = "",
     option: Annotated[list[str] | None, typer.Option("--set", help="An option, e.g. finetune.steps=200.")] = None,
+    name: Annotated[str, typer.Option(help="What you call it.")] = "",
+    tag: Annotated[list[str] | None, typer.Option(help="By which you find it again; several may be given.")] = None,
     dry_run: Annotated[bool, typer.Option(help="Only say which stages would run.")] = False,
 ) -> None:
     """Start a job on a site whose recordings are there."""
@@ -79,7 +115,7 @@ def create(
             for stage in client.plan(site_id, options):
                 console.print(f"{stage.would:>6}  {stage.title}", highlight=False)
             return
-        console.print(client.create_job(site_id, options).id, highlight=False)
+        console.print(client.create_job(site_id, options, name=name, tags=tag or ()).id, highlight=False)
 
 
 @app.command()

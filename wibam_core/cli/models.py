@@ -9,7 +9,7 @@ import typer
 from rich.console import Console
 from rich.markup import escape
 
-from wibam_core.cli.display import list_table, print_list
+from wibam_core.cli.display import print_rows, to_minute
 from wibam_core.cli.run import parse_options
 from wibam_core.cli.service import DEFAULT_URL, Token, Url, connect
 from wibam_core.cli.service import watch as watch_job
@@ -27,12 +27,13 @@ def list_models(
     site: Annotated[str | None, typer.Option(help="Of this site alone.")] = None,
 ) -> None:
     """List models, the newest first."""
-    table = list_table("model", "site", others=("version", "state", "name", "made (UTC)"))
     with connect(url, token) as client:
-        for model in client.models(site):
-            made = model.created_at[:16].replace("T", " ")
-            table.add_row(model.id, model.site_id, str(model.version), model.state.value, escape(model.name), made)
-    print_list(Console(), table)
+        models = client.models(site)
+    rows = (
+        (model.id, model.site_id, str(model.version), model.state.value, model.name, to_minute(model.created_at))
+        for model in models
+    )
+    print_rows(("model", "site"), ("version", "state", "name", "made (UTC)"), rows)
 
 
 @app.command()

@@ -25,7 +25,9 @@ from wibam_core.client.views import (
     SiteView,
 )
 from wibam_core.errors import ServiceUnavailable
+from wibam_core.job_kind import JobKind
 from wibam_core.jobs.records import Purpose
+from wibam_core.jobs.states import JobState
 from wibam_core.site import Site
 
 
@@ -61,7 +63,7 @@ class WibamClient(NetworkRequests, ResultRequests, LabelRequests, ClipRequests):
         )
 
     def sites(self) -> list[SiteView]:
-        return [SiteView.model_validate(item) for item in self._connection.json("GET", "/v1/sites")]
+        return [SiteView.model_validate(item) for item in self._connection.items("/v1/sites")]
 
     def replace_site(self, site_id: str, site: Site) -> SiteView:
         """Describe a site anew. Recordings stay with the cameras of the same id; jobs keep their description."""
@@ -73,9 +75,7 @@ class WibamClient(NetworkRequests, ResultRequests, LabelRequests, ClipRequests):
 
     def files(self, site_id: str) -> list[FileView]:
         """Recordings, labels, detector and network of a site."""
-        return [
-            FileView.model_validate(item) for item in self._connection.json("GET", f"/v1/sites/{site_id}/recordings")
-        ]
+        return [FileView.model_validate(item) for item in self._connection.items(f"/v1/sites/{site_id}/recordings")]
 
     def upload_recording(
         self, site_id: str, camera_id: str, path: Path, progress: UploadProgress = lambda sent, size: None
@@ -105,11 +105,17 @@ class WibamClient(NetworkRequests, ResultRequests, LabelRequests, ClipRequests):
         return [PlannedView.model_validate(item) for item in found]
 
     def create_job(
-        self, site_id: str, options: Mapping[str, Any] | None = None, idempotency_key: str | None = None
+        self,
+        site_id: str,
+        options: Mapping[str, Any] | None = None,
+        idempotency_key: str | None = None,
+        *,
+        name: str = "",
+        tags: Iterable[str] = (),
     ) -> JobView:
-        """Start a job."""
+        """Start a job, under a name and with tags by which it is found again."""
         headers = {"Idempotency-Key": idempotency_key} if idempotency_key is not None else {}
-        body = {"options": dict(options or {})}
+        body = {"options": dict(options or {}), "name": name, "tags": list(tags)}
         return JobView.model_validate(
             self._connection.json("POST", f"/v1/sites/{site_id}/jobs", json=body, headers=headers)
         )
@@ -117,10 +123,38 @@ class WibamClient(NetworkRequests, ResultRequests, LabelRequests, ClipRequests):
     def job(self, job_id: str) -> JobView:
         return JobView.model_validate(self._connection.json("GET", f"/v1/jobs/{job_id}"))
 
-    def jobs(self, site_id: str | None = None) -> list[JobView]:
-        """The newest first."""
-        params = {"site": site_id} if site_id is not None else {}
-        return [JobView.model_validate(item) for item in self._connection.json("GET", "/v1/jobs", params=params)]
+    def change_job(self, job_id: str, *, name: str | None = None, tags: Iterable[str] | None = None) -> JobView:
+        """Call a job something, and give it tags in place of those that it has; None leaves them."""
+        body = {"name": name, "tags": None if tags is None else list(tags)}
+        return JobView.model_validate(self._connection.json("PATCH", f"/v1/jobs/{job_id}", json=body))
+
+    def jobs(
+        self,
+        site_id: str | None = None,
+        *,
+        states: Iterable[JobState] = (),
+        tags: Iterable[str] = (),
+        text: str = "",
+        kind: JobKind = JobKind.TRAINING,
+        start: str | None = None,
+        end: str | None = None,
+        most: int | None = None,
+    ) -> list[JobView]:
+        """Jobs, the newest first.
+
+        Args:
+            site_id: of this site alone.
+            states: in one of these; none: in any.
+            tags: that have all of these.
+            text: that the name or the id contains.
+            kind: trainings, or runs of networks.
+            start: created then or later; ISO 8601 with its offset from UTC.
+            end: created before.
+            most: how many at most; None: all.
+        """
+        params = {"site": site_id, "state": [state.value for state in states], "tag": list(tags), "text": text}
+        params |= {"kind": kind.value, "from": start, "to": end}
+        return [JobView.model_validate(item) for item in self._connection.items("/v1/jobs", params, most)]
 
     def wait(
         self,
@@ -190,7 +224,7 @@ class WibamClient(NetworkRequests, ResultRequests, LabelRequests, ClipRequests):
 
     def api_keys(self) -> list[KeyView]:
         """The newest first, with those that no longer work."""
-        return [KeyView.model_validate(item) for item in self._connection.json("GET", "/v1/keys")]
+        return [KeyView.model_validate(item) for item in self._connection.items("/v1/keys")]
 
     def revoke_key(self, key_id: str) -> KeyView:
         """Let a key open nothing from now on."""
@@ -198,5 +232,5 @@ class WibamClient(NetworkRequests, ResultRequests, LabelRequests, ClipRequests):
 
     def audit(self, limit: int = 100) -> list[AuditView]:
         """Who changed what, the newest first."""
-        found = self._connection.json("GET", "/v1/audit", params={"limit": limit})
+        found = self._connection.items("/v1/audit", most=limit)
         return [AuditView.model_validate(item) for item in found]

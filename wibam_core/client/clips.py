@@ -23,7 +23,7 @@ class ClipRequests(Requests):
 
     def clips(self, job_id: str) -> list[ClipView]:
         """The newest first."""
-        return [ClipView.model_validate(item) for item in self._connection.json("GET", f"/v1/jobs/{job_id}/clips")]
+        return [ClipView.model_validate(item) for item in self._connection.items(f"/v1/jobs/{job_id}/clips")]
 
     def wait_for_clip(
         self,

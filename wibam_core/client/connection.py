@@ -14,6 +14,8 @@ import httpx
 
 from wibam_core.errors import ChecksumMismatch, ServiceUnavailable, WibamError
 
+_PAGE = 200
+
 
 class Connection:
     """Sends requests with the token.
@@ -60,6 +62,24 @@ class Connection:
         if "content" in values:
             values["headers"] = {**values.get("headers", {}), "Content-Type": "application/json"}
         return self.request(method, path, **values).json()
+
+    def items(self, path: str, params: Mapping[str, Any] | None = None, most: int | None = None) -> list[Any]:
+        """All items of a list, page by page.
+
+        Args:
+            path: of the list.
+            params: of the query; what is None is left out.
+            most: stop after so many; None: never.
+        """
+        given = {name: value for name, value in (params or {}).items() if value is not None}
+        values = {"limit": min(most or _PAGE, _PAGE), **given}
+        response = self.request("GET", path, params=values)
+        found = list(response.json())
+        while (most is None or len(found) < most) and (following := response.links.get("next")):
+            # the address as the service sees itself may be another than ours: its query alone counts
+            response = self.request("GET", path, params=httpx.URL(following["url"]).params)
+            found += response.json()
+        return found[:most]
 
     def download(
         self, path: str, target: Path, params: Mapping[str, Any] | None = None, timeout_s: float | None = None

@@ -24,8 +24,8 @@ class NetworkRequests(Requests):
 
     def models(self, site_id: str | None = None, *, job_id: str | None = None) -> list[ModelView]:
         """The networks that the service keeps, the newest first."""
-        params = {name: value for name, value in (("site", site_id), ("job", job_id)) if value is not None}
-        return [ModelView.model_validate(item) for item in self._connection.json("GET", "/v1/models", params=params)]
+        found = self._connection.items("/v1/models", {"site": site_id, "job": job_id})
+        return [ModelView.model_validate(item) for item in found]
 
     def model(self, model_id: str) -> ModelView:
         return ModelView.model_validate(self._connection.json("GET", f"/v1/models/{model_id}"))
@@ -73,8 +73,7 @@ class NetworkRequests(Requests):
 
     def footage(self, site_id: str, camera_id: str | None = None) -> list[FootageView]:
         """All footage of a site's cameras, the recordings included."""
-        params = {} if camera_id is None else {"camera": camera_id}
-        found = self._connection.json("GET", f"/v1/sites/{site_id}/footage", params=params)
+        found = self._connection.items(f"/v1/sites/{site_id}/footage", {"camera": camera_id})
         return [FootageView.model_validate(item) for item in found]
 
     def delete_footage(self, site_id: str, file_id: str) -> None:
@@ -108,4 +107,4 @@ class NetworkRequests(Requests):
 
     def runs(self, model_id: str) -> list[JobView]:
         """The runs of a network, the newest first."""
-        return [JobView.model_validate(item) for item in self._connection.json("GET", f"/v1/models/{model_id}/runs")]
+        return [JobView.model_validate(item) for item in self._connection.items(f"/v1/models/{model_id}/runs")]

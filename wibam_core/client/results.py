@@ -89,9 +89,7 @@ class ResultRequests(Requests):
         return self._connection.download(path, target, {"boxes": boxes.value}, timeout_s=_EXPORT_TIMEOUT_S)
 
     def artifacts(self, job_id: str) -> list[ArtifactView]:
-        return [
-            ArtifactView.model_validate(item) for item in self._connection.json("GET", f"/v1/jobs/{job_id}/artifacts")
-        ]
+        return [ArtifactView.model_validate(item) for item in self._connection.items(f"/v1/jobs/{job_id}/artifacts")]
 
     def download_artifact(self, job_id: str, artifact_id: str, target: Path) -> Path:
         """A file by its id, e.g. ``"evaluate/metrics.json"``."""

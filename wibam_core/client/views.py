@@ -94,6 +94,8 @@ class JobView(_View):
 
     id: str
     site_id: str
+    name: str = ""
+    tags: tuple[str, ...] = ()
     state: JobState
     fraction: float
     remaining_s: float | None

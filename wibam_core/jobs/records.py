@@ -149,6 +149,7 @@ class Job:
         error: why it failed: a `WibamError.to_dict` with the stage's name in its details.
         restarts: how often it was restarted.
         name: what users call it; may be empty.
+        tags: words of its users by which it is found again, sorted.
         kind: what it is for.
         model_id: the network that a run uses.
         continues: the run whose road users a run follows on.
@@ -167,6 +168,7 @@ class Job:
     error: Mapping[str, Any] | None = None
     restarts: int = 0
     name: str = ""
+    tags: tuple[str, ...] = ()
     kind: JobKind = JobKind.TRAINING
     model_id: str | None = None
     continues: str | None = None

@@ -352,7 +352,7 @@ class TestQueries:
         world.job()
         one = self.queries(world, world.jobs.jobs, 1)
         jobs = [world.job(str(n)) for n in range(20)]
-        assert self.queries(world, world.jobs.jobs, 21) == one == 3
+        assert self.queries(world, world.jobs.jobs, 21) == one == 4
         assert [job.id for job in world.jobs.jobs(limit=1)] == [world.jobs.jobs()[0].id]
         assert {job.id: job for job in world.jobs.jobs()}[jobs[3].id] == world.jobs.job(jobs[3].id)
 

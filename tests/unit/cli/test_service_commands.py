@@ -159,6 +159,16 @@ def test_ids_are_whole_and_times_have_hours_in_a_narrow_pipe(api: LiveApi, job: 
     assert row.split()[:6] == [job, shown["site_id"], "succeeded", "100%", day, time]
 
 
+def test_a_job_is_marked_and_found_by_it(api: LiveApi, job: str) -> None:
+    assert wibam(api, "jobs", "mark", job, "--name", "[bold]", "--tag", "wet", "--tag", "night").strip() == (
+        f"{job}: [bold]; night, wet"
+    )
+    [row] = [line for line in wibam(api, "jobs", "list", "--tag", "wet", "--tag", "night").splitlines() if job in line]
+    assert row.split()[-3:] == ["[bold]", "night,", "wet"]
+    assert job not in wibam(api, "jobs", "list", "--tag", "dry")
+    assert wibam(api, "jobs", "mark", job, "--name", "", "--no-tags").strip() == f"{job}: no name; no tags"
+
+
 def test_ids_are_whole_in_a_narrow_terminal() -> None:
     table = list_table("job", "site", others=("says",))
     table.add_row("job_5e4d3c2b1a098765", "site_3f0c9a1be2d44c70", "something that may be broken")

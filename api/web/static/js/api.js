@@ -63,6 +63,27 @@ export async function get(path, options = {}) {
 }
 
 /**
+ * All items of a list, page by page.
+ * @param {string} path with its filters
+ * @param {number} [most] stop after so many
+ * @returns {Promise<any[]>}
+ */
+export async function getAll(path, most = Infinity) {
+  const found = [];
+  for (let next = path; next && found.length < most;) {
+    const response = await request("GET", next);
+    found.push(...await response.json());
+    next = nextPage(response);
+  }
+  return found;
+}
+
+/** @param {Response} response of a list @returns {string} the address of its next page; empty: this is the last */
+export function nextPage(response) {
+  return /<([^>]+)>;\s*rel="next"/.exec(response.headers.get("Link") ?? "")?.[1] ?? "";
+}
+
+/**
  * A JSON request that changes something.
  * @param {"POST"|"PUT"|"PATCH"|"DELETE"} method
  * @param {string} path

@@ -1,5 +1,5 @@
 // Video clips: asking for one of what the player shows, and those that were asked for.
-import { get, send } from "./api.js";
+import { getAll, send } from "./api.js";
 import { attempt, byId, fill, h, message, say } from "./dom.js";
 import { clock, size } from "./format.js";
 import { jobId, readOnly } from "./jobtabs.js";
@@ -41,7 +41,7 @@ export class ClipPanel {
   /** Show all clips, again and again while any is being made. */
   async look() {
     clearTimeout(this.timer);
-    const clips = await get(`/v1/jobs/${jobId}/clips`);
+    const clips = await getAll(`/v1/jobs/${jobId}/clips`);
     const focused = document.activeElement?.closest("[data-clip]")?.getAttribute("data-clip");
     fill(byId("clips"), clips.length ? h("ul.plain", null, clips.map((/** @type {any} */ clip) => this.#row(clip))) : h("p.note", null, "None yet."));
     if (focused) /** @type {HTMLElement|null} */ (document.querySelector(`[data-clip="${focused}"] button`))?.focus();

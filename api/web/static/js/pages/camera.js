@@ -1,5 +1,5 @@
 // One camera of a site: look at its recording, calibrate it by clicks, draw its signal regions.
-import { get, Problem, query, request, send } from "../api.js";
+import { get, getAll, Problem, query, request, send } from "../api.js";
 import { attempt, byId, fill, h, message, say } from "../dom.js";
 import { clock, number } from "../format.js";
 import { drawGround, drawOnPlan, drawPoints, label } from "../calibrationdraw.js";
@@ -149,7 +149,7 @@ async function start() {
   byId("back").href = `/sites/${siteId}`;
   byId("name").textContent = `Camera ${cameraId}`;
   if (!description) { fill(byId("solution"), message("bad", `the site has no camera ${cameraId} any more`, "Go back to the site.")); return; }
-  const files = await get(`/v1/sites/${siteId}/recordings`);
+  const files = await getAll(`/v1/sites/${siteId}/recordings`);
   const file = files.find((/** @type {any} */ one) => one.purpose === "recording" && one.camera === cameraId);
   recording = file ? `/v1/sites/${siteId}/recordings/${file.id}` : null;
   view.resize(description.width_px, description.height_px);

@@ -1,5 +1,5 @@
 // Two jobs side by side: figures, options that differ, how long stages took, what they warn of.
-import { get, getIfThere, query } from "../api.js";
+import { get, getAll, getIfThere, query } from "../api.js";
 import { attempt, byId, fill, h, message, sentence } from "../dom.js";
 import { bars, figure } from "../chart.js";
 import { meanSd, number, percent, when } from "../format.js";
@@ -66,7 +66,7 @@ async function compare() {
 }
 
 attempt(async () => {
-  const jobs = await get("/v1/jobs?limit=200"), wanted = new URLSearchParams(location.search);
+  const jobs = await getAll("/v1/jobs?limit=200"), wanted = new URLSearchParams(location.search);
   if (jobs.length < 2) { fill(byId("compared"), message("plain", "there are fewer than two jobs", "Start another one on a site's page.")); byId("choice").hidden = true; return; }
   for (const [id, index] of /** @type {Array<[string, number]>} */ ([["a", 1], ["b", 0]])) {
     fill(byId(id), jobs.map((/** @type {any} */ job) => h("option", { value: job.id }, `${nameOf(job)} (${job.site_name}, ${job.state})`)));

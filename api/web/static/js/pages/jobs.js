@@ -1,14 +1,16 @@
 // All jobs, the newest first: filtered, by pages, and kept up to date while some run.
-import { get, query } from "../api.js";
+import { get, getAll, nextPage, query, request } from "../api.js";
 import { attempt, byId, fill, h } from "../dom.js";
 import { duration, percent, when, words } from "../format.js";
 
 const PAGE = 50, LOOK_AGAIN_MS = 3000;
 /** @type {any[]} */
 let shown = [];
+/** The address of the next page. */
+let older = "";
 
 function filters() {
-  return { state: byId("state").value, site: byId("site").value, text: byId("text").value.trim() };
+  return { state: byId("state").value, site: byId("site").value, text: byId("text").value.trim(), tag: byId("tag").value.trim() };
 }
 
 /** @param {any} job */
@@ -17,7 +19,7 @@ function row(job) {
   const running = job.stages.find((/** @type {any} */ stage) => stage.state === "running");
   const took = job.started_at && job.finished_at ? (Date.parse(job.finished_at) - Date.parse(job.started_at)) / 1000 : null;
   return h("tr", null,
-    h("th", { scope: "row" }, h("a", { href: `/jobs/${job.id}` }, job.name || job.id), job.name ? h("div.note.mono", null, job.id) : null),
+    h("th", { scope: "row" }, h("a", { href: `/jobs/${job.id}` }, job.name || job.id), job.name ? h("div.note.mono", null, job.id) : null, job.tags.map((/** @type {string} */ tag) => [h("span.chip", null, tag), " "])),
     h("td", null, job.site_name),
     h("td", null, h(`span.state.${job.state}`, null, job.state), job.error ? h("div.note", null, words(job.error.code)) : null),
     h("td", null, h("progress", { value: job.fraction, max: 1, "aria-label": "Done" }), " ", h("span.figures", null, percent(job.fraction)),
@@ -34,16 +36,12 @@ function show() {
   fill(byId("empty"), filtered ? "No job is like that: take a filter away." : ["There are no jobs yet. ", h("a", { href: "/sites" }, "Describe a site"), ", send its recordings, and start one there."]);
 }
 
-async function load() {
-  shown = await get(`/v1/jobs${query({ ...filters(), limit: PAGE })}`);
-  byId("more").hidden = shown.length < PAGE;
-  show();
-}
-
-async function more() {
-  const older = await get(`/v1/jobs${query({ ...filters(), limit: PAGE, after: shown.at(-1)?.id })}`);
-  shown = [...shown, ...older];
-  byId("more").hidden = older.length < PAGE;
+/** @param {string} path of a page of the list @param {any[]} before the jobs of the pages before */
+async function load(path = `/v1/jobs${query({ ...filters(), limit: PAGE })}`, before = []) {
+  const response = await request("GET", path);
+  shown = [...before, ...await response.json()];
+  older = nextPage(response);
+  byId("more").hidden = !older;
   show();
 }
 
@@ -55,14 +53,14 @@ async function refresh() {
 
 async function start() {
   const wanted = new URLSearchParams(location.search);
-  for (const site of await get("/v1/sites")) byId("site").append(h("option", { value: site.id }, site.name));
-  for (const name of ["state", "site", "text"]) byId(name).value = wanted.get(name) ?? "";
+  for (const site of await getAll("/v1/sites")) byId("site").append(h("option", { value: site.id }, site.name));
+  for (const name of ["state", "site", "text", "tag"]) byId(name).value = wanted.get(name) ?? "";
   byId("filter").addEventListener("submit", (/** @type {Event} */ event) => event.preventDefault());
   byId("filter").addEventListener("input", () => {
     history.replaceState(null, "", location.pathname + query(filters()));
-    attempt(load);
+    attempt(() => load());
   });
-  byId("more").addEventListener("click", () => attempt(more));
+  byId("more").addEventListener("click", () => attempt(() => load(older, shown)));
   await load();
   setInterval(() => { refresh().catch(() => { /* the next look says it again, and a click says it aloud */ }); }, LOOK_AGAIN_MS);
 }

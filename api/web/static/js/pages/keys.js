@@ -1,10 +1,10 @@
 // Keys: those that there are, a new one, and who changed what.
-import { get, send } from "../api.js";
+import { get, getAll, send } from "../api.js";
 import { attempt, byId, fill, h, say } from "../dom.js";
 import { when } from "../format.js";
 
 async function show() {
-  const [keys, lines] = await Promise.all([get("/v1/keys"), get("/v1/audit?limit=50")]);
+  const [keys, lines] = await Promise.all([getAll("/v1/keys"), get("/v1/audit?limit=50")]);
   fill(byId("keys").tBodies[0], keys.length
     ? keys.map((/** @type {any} */ key) => h("tr", null,
       h("th", { scope: "row" }, key.name), h("td", null, key.scopes.join(", ")),

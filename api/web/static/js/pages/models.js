@@ -1,5 +1,5 @@
 // All networks that the service keeps, and the latest runs of them.
-import { get, send } from "../api.js";
+import { get, getAll, send } from "../api.js";
 import { attempt, byId, fill, h } from "../dom.js";
 import { when } from "../format.js";
 
@@ -47,7 +47,7 @@ function runRow(run) {
 }
 
 async function show() {
-  const [models, runs] = await Promise.all([get("/v1/models"), get("/v1/jobs?kind=run&limit=50")]);
+  const [models, runs] = await Promise.all([getAll("/v1/models"), get("/v1/jobs?kind=run&limit=50")]);
   fill(byId("models").tBodies[0], models.length ? models.map(row) : h("tr", null, h("td", { colspan: 9 }, "There are none yet: every job that has ended leaves one.")));
   fill(byId("runs").tBodies[0], runs.length ? runs.map(runRow) : h("tr", null, h("td", { colspan: 5 }, "There are none yet: wibam models run MODEL CAMERA=FILE.")));
 }

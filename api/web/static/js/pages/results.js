@@ -1,5 +1,5 @@
 // What came out of a job: figures from the stages' documents, with the numbers behind them.
-import { get, getIfThere } from "../api.js";
+import { get, getAll, getIfThere } from "../api.js";
 import { attempt, byId, fill, h, message } from "../dom.js";
 import { jobId, showTabs, showTitle } from "../jobtabs.js";
 import { residualFigure, trajectoryFigure } from "../placefigures.js";
@@ -68,7 +68,7 @@ async function data() {
 }
 
 async function downloads() {
-  const files = await get(`/v1/jobs/${jobId}/artifacts`);
+  const files = await getAll(`/v1/jobs/${jobId}/artifacts?limit=1000`);
   const has = (/** @type {string} */ artifact) => files.some((/** @type {any} */ one) => one.artifact === artifact);
   const link = (/** @type {string} */ href, /** @type {string} */ text) => h("a.button", { href, download: true }, text);
   fill(byId("downloads"),

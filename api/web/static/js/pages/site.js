@@ -1,5 +1,5 @@
 // One site: cameras, uploads, what the cameras see, starting a job.
-import { get, Problem, query, send } from "../api.js";
+import { get, getAll, Problem, query, send } from "../api.js";
 import { ask, attempt, byId, fill, h, message, say, sentence } from "../dom.js";
 import { duration, percent, size, when } from "../format.js";
 import { cameraColour, drawView, groundInView, Plan } from "../plan.js";
@@ -106,7 +106,7 @@ function overlaps(one, other) {
 }
 
 async function show() {
-  [record, files] = await Promise.all([get(`/v1/sites/${siteId}`), get(`/v1/sites/${siteId}/recordings`)]);
+  [record, files] = await Promise.all([get(`/v1/sites/${siteId}`), getAll(`/v1/sites/${siteId}/recordings`)]);
   byId("site-id").textContent = siteId;
   byId("name").textContent = record.name;
   document.title = `${record.name} · WIBAM`;
@@ -163,7 +163,7 @@ async function list(id, name) {
 /** A recording says how large its pictures are: until points are set, the camera's description follows it. @param {import("../tus.js").Upload} upload */
 async function arrived(upload) {
   say(`${upload.file.name} has arrived.`);
-  files = await get(`/v1/sites/${siteId}/recordings`);
+  files = await getAll(`/v1/sites/${siteId}/recordings`);
   const camera = record.site.cameras.find((/** @type {any} */ one) => one.id === upload.target.camera), file = camera && recordingsOf(camera.id)[0];
   if (file) {
     const header = await get(`/v1/sites/${siteId}/recordings/${file.id}/header`);

@@ -1,10 +1,10 @@
 // All sites, and new ones: from the ids of their cameras, or from a site.json.
-import { get, Problem, send } from "../api.js";
+import { getAll, Problem, send } from "../api.js";
 import { attempt, byId, fill, h } from "../dom.js";
 import { when } from "../format.js";
 
 async function show() {
-  const sites = await get("/v1/sites");
+  const sites = await getAll("/v1/sites");
   fill(byId("sites").tBodies[0], sites.length
     ? sites.map((/** @type {any} */ site) => h("tr", null, h("th", { scope: "row" }, h("a", { href: `/sites/${site.id}` }, site.name)), h("td", null, site.cameras.join(", ")), h("td", null, when(site.created_at)), h("td.mono", null, site.id)))
     : h("tr", null, h("td", { colspan: 4 }, "There are none yet. Describe one below.")));
