@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
+from hashlib import sha256
 from pathlib import Path
+from tempfile import TemporaryDirectory
 
 import numpy as np
 
@@ -15,6 +17,7 @@ from wibam_core.artifacts.access import ArtifactWriter
 from wibam_core.artifacts.catalogue import made_by
 from wibam_core.documents.base import MeanSd
 from wibam_core.documents.conflicts import ConflictRow, Conflicts
+from wibam_core.documents.manifest import FileFacts
 from wibam_core.documents.metrics import Consistency, LabelledInstants, Metrics
 from wibam_core.documents.recordings import Probe, VideoInfo
 from wibam_core.jobs.states import StageState
@@ -101,6 +104,7 @@ def publish(api: LiveApi, job_id: str, write: Callable[[str, Path], None]) -> No
     leases, store = api.services.leases, api.services.stages
     for stage in api.services.jobs.job(job_id).stages:
         if stage.state is StageState.REUSED:  # of another job with the same inputs
+            _assert_same(store.manifest(stage.name, stage.hash).files, stage.name, write)
             continue
         claim = leases.claim(StageKey(job_id, stage.name), "tests")
         assert claim is not None, stage.name
@@ -109,6 +113,19 @@ def publish(api: LiveApi, job_id: str, write: Callable[[str, Path], None]) -> No
         warnings = [AMBIGUOUS] if stage.name == "sync" else []
         store.seal(attempt, {"stage": stage.name}, 0.1, warnings)
         leases.succeed(claim, {"stage": stage.name}, lambda attempt=attempt: store.reveal(attempt), warnings)  # type: ignore[misc]
+
+
+def _assert_same(there: Mapping[str, FileFacts], stage: str, write: Callable[[str, Path], None]) -> None:
+    """What a job with the same inputs has published is what this one would: else one would see the other's."""
+    with TemporaryDirectory() as folder:
+        output = Path(folder) / "output"
+        output.mkdir()
+        write(stage, output)
+        made = {str(file.relative_to(output)): file.read_bytes() for file in output.rglob("*") if file.is_file()}
+    found = {name: sha256(data).hexdigest() for name, data in made.items()}
+    assert found == {name: facts.sha256 for name, facts in there.items()}, (
+        f"another test has published other outputs of {stage} for the same inputs: give this one a rig of its own"
+    )
 
 
 def _write(stage: str, folder: Path, onnx: bool) -> None:

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Any
+from functools import partial
+from typing import Annotated
 
 import numpy as np
 from fastapi import APIRouter, Header, Path, Query, Response
@@ -13,12 +14,10 @@ from api.problems import documented
 from api.services import ServicesDep
 from wibam_core.adapters.findings import findings
 from wibam_core.artifacts import catalogue
-from wibam_core.artifacts.artifact import Artifact
 from wibam_core.documents.findings import InstantFindings
 from wibam_core.errors import InputError, NotFound
 from wibam_core.formats.framestore import FrameStore
 from wibam_core.geometry.camera import Camera
-from wibam_core.jobs.records import Job
 from wibam_core.road_users import CLASSES
 from wibam_core.site import Lens, Origin
 
@@ -97,8 +96,9 @@ def scene_camera(camera_id: str, camera: Camera, stored: tuple[int, int] | None)
 def scene(job_id: str, services: ServicesDep) -> SceneOut:
     """As the job uses the cameras; before that is known, as it calibrated them."""
     job = services.jobs.job(job_id)
-    rig = services.results.read(job, catalogue.RIG if _has(job, catalogue.RIG) else catalogue.CALIBRATED_RIG)
-    store = services.results.frames(job) if _has(job, catalogue.FRAMES) else None
+    has = partial(services.results.has, job)
+    rig = services.results.read(job, catalogue.RIG if has(catalogue.RIG) else catalogue.CALIBRATED_RIG)
+    store = services.results.frames(job) if has(catalogue.FRAMES) else None
     stored = {} if store is None else {camera_id: store.size(camera_id) for camera_id in store.camera_ids}
     return SceneOut(
         name=job.site.name,
@@ -198,8 +198,3 @@ def _jpeg(store: FrameStore, camera_id: str, time_ns: int, width_px: int | None)
     if not done:
         raise InputError("the frame cannot be shrunk", hint="Leave width_px out.")
     return data.tobytes()
-
-
-def _has(job: Job, artifact: Artifact[Any]) -> bool:
-    stage = job.stage(artifact.stage)
-    return stage is not None and stage.state.has_outputs

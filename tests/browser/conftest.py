@@ -102,6 +102,12 @@ class Visit:
         self.page.goto(f"{self.url}/sign-in#token={token}")
         self.page.wait_for_url("**/jobs")
 
+    def forgive(self, what: str) -> None:
+        """Take back what the browser said of something that the test itself has brought about: at least once."""
+        left = [one for one in self.complaints if what not in one]
+        assert len(left) < len(self.complaints), f"nothing was said of {what!r}"
+        self.complaints[:] = left
+
     def picture(self, name: str) -> None:
         """Keep a picture of the page."""
         SCREENSHOTS.mkdir(parents=True, exist_ok=True)
@@ -113,7 +119,7 @@ def visit(browser: Browser, url: str, **options: Any) -> Iterator[Visit]:
     """A tab of its own, with its own cookies."""
     with browser.new_context(viewport={"width": 1280, "height": 860}, **options) as context:
         page = context.new_page()
-        page.set_default_timeout(15_000)
+        page.set_default_timeout(60_000)
         found = Visit(page, url)
         page.on("console", lambda m: found.complaints.append(m.text) if m.type in ("error", "warning") else None)
         page.on("pageerror", lambda error: found.complaints.append(str(error)))
@@ -141,3 +147,14 @@ def signed_in(tab: Visit) -> Visit:
     """The same, signed in."""
     tab.sign_in()
     return tab
+
+
+def serious_findings(page: Page) -> list[str]:
+    """What axe-core says of a page that is in the way of somebody who hears it, or uses keys alone."""
+    axe = pytest.importorskip("axe_playwright_python.sync_playwright", reason="axe is not installed: make setup").Axe()
+    return [
+        f"{one['id']}: {node['target']} {node['html'][:120]} {node['failureSummary'][:200]}"
+        for one in axe.run(page).response["violations"]
+        if one["impact"] in ("serious", "critical")
+        for node in one["nodes"]
+    ]

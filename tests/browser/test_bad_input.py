@@ -29,7 +29,7 @@ def test_a_map_of_200_mb_is_refused_with_a_sentence(signed_in: Visit, api: LiveA
 def test_a_job_that_is_not_there_is_said(signed_in: Visit, page_name: str) -> None:
     page = signed_in.open(f"/jobs/job_0123456789abcdef{page_name}")
     page.get_by_text("There is no job job_0123456789abcdef").first.wait_for()
-    signed_in.complaints.clear()  # the console names the refusal
+    signed_in.forgive("status of 404")
 
 
 def test_labelling_goes_on_when_the_recording_was_deleted(signed_in: Visit, api: LiveApi) -> None:

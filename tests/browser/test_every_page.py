@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from typing import Any
 
 import pytest
 
-from tests.browser.conftest import Visit, visit
+from tests.browser.conftest import Visit, serious_findings, visit
 from tests.finished import finished_job
 from tests.service import LiveApi
 
@@ -38,32 +37,11 @@ def ids(api: LiveApi) -> tuple[str, str]:
     return api.site(), finished_job(api)
 
 
-@pytest.mark.parametrize("scheme", ["light", "dark"])
 @pytest.mark.parametrize("name", PAGES)
-def test_axe_finds_nothing_serious(
-    playwright_browser: Any, api: LiveApi, ids: tuple[str, str], name: str, scheme: str
+def test_a_page_is_small_silent_and_without_barriers(
+    playwright_browser: Any, api: LiveApi, ids: tuple[str, str], name: str
 ) -> None:
-    axe = pytest.importorskip("axe_playwright_python.sync_playwright", reason="axe is not installed: make setup").Axe()
-    address: Callable[[str, str], str] = PAGES[name]
-    with visit(playwright_browser, api.url, color_scheme=scheme) as tab:
-        if name != "sign-in":
-            tab.sign_in()
-        tab.open(address(*ids))
-        tab.page.wait_for_load_state("networkidle" if name != "job" else "load")
-        if name == "job":
-            tab.page.locator(".graph .stage").first.wait_for()
-        found = axe.run(tab.page).response["violations"]
-        serious = [
-            f"{one['id']}: {node['target']} {node['html'][:120]} {node['failureSummary'][:200]}"
-            for one in found
-            if one["impact"] in ("serious", "critical")
-            for node in one["nodes"]
-        ]
-        assert serious == []
-
-
-@pytest.mark.parametrize("name", PAGES)
-def test_a_first_view_is_small(playwright_browser: Any, api: LiveApi, ids: tuple[str, str], name: str) -> None:
+    """Its first view, by the bytes that it asks for; then what axe-core finds in light and in dark."""
     with visit(playwright_browser, api.url) as tab:
         sizes: list[int] = []
 
@@ -75,8 +53,14 @@ def test_a_first_view_is_small(playwright_browser: Any, api: LiveApi, ids: tuple
             tab.sign_in()
         tab.page.on("requestfinished", lambda request: count(request.response()))
         tab.open(PAGES[name](*ids))
-        tab.page.wait_for_timeout(1000)
+        tab.page.wait_for_load_state("networkidle" if name != "job" else "load")
+        if name == "job":
+            tab.page.locator(".graph .stage").first.wait_for()
         assert 1000 < sum(sizes) < LARGEST_BYTES
+        for scheme in ("light", "dark"):
+            tab.page.emulate_media(color_scheme=scheme)  # type: ignore[arg-type]
+            assert serious_findings(tab.page) == [], scheme
+        assert tab.complaints == []
 
 
 def test_a_phone_shows_results_without_scrolling_sideways(
@@ -104,7 +88,6 @@ def test_keys_alone_lead_to_the_content_and_into_a_job(signed_in: Visit, ids: tu
             break
     page.keyboard.press("Enter")
     page.wait_for_url("**/jobs/job_*")
-    signed_in.complaints.clear()
 
 
 def test_conflicts_are_reviewed_and_open_the_player(signed_in: Visit, api: LiveApi, ids: tuple[str, str]) -> None:
@@ -120,7 +103,6 @@ def test_conflicts_are_reviewed_and_open_the_player(signed_in: Visit, api: LiveA
     page.locator("#verdict").select_option("confirmed")
     [review] = api.http.get(f"/v1/jobs/{job}/conflicts/reviews").json()
     assert (review["verdict"], review["note"]) == ("confirmed", "seen twice")
-    signed_in.complaints.clear()  # the job has no rig: the console names its address
 
 
 def test_two_jobs_stand_side_by_side(signed_in: Visit, api: LiveApi, ids: tuple[str, str]) -> None:
@@ -134,7 +116,6 @@ def test_two_jobs_stand_side_by_side(signed_in: Visit, api: LiveApi, ids: tuple[
     assert row.locator("td").all_inner_texts() == [str(default), "77"]
     page.get_by_role("heading", name="B: longer").wait_for()
     signed_in.picture("compare")
-    signed_in.complaints.clear()  # the console names results that the second has yet to make
 
 
 def test_the_api_is_documented_for_whoever_has_no_token(tab: Visit, api: LiveApi) -> None:

@@ -7,7 +7,7 @@ import re
 import numpy as np
 import pytest
 
-from tests.browser.conftest import Visit, visit
+from tests.browser.conftest import Visit, serious_findings, visit
 from tests.labelled_job import FIT_ERROR, TIMES_NS, labelled_job
 from tests.service import LiveApi, wait_until
 from tests.site_dataset import boxes_at, tiny_rig
@@ -79,6 +79,9 @@ def test_proposals_are_put_right_by_mouse_and_keys(api: LiveApi, labelling: Visi
     page.get_by_role("button", name="Finished").wait_for()
     page.get_by_text("saved as version").wait_for()
     labelling.picture("labelling")
+    for scheme in ("light", "dark"):
+        page.emulate_media(color_scheme=scheme)  # type: ignore[arg-type]
+        assert serious_findings(page) == [], scheme
     wait_until(lambda: not page.evaluate("Object.keys(localStorage).some((key) => key.startsWith('wibam-labels '))"))
     found = saved(api, job, labelling)["labels"]
     boxes = np.array([one["box"] for one in found["vehicles"]])  # type: ignore[index]
@@ -179,7 +182,6 @@ def test_what_is_not_saved_is_there_again_and_two_people_see_each_other(
     )
     page.keyboard.press("ArrowUp")
     page.get_by_text("not saved").wait_for()
-    page.unroute_all()
     with visit(playwright_browser, labelling.url) as other:  # type: ignore[arg-type]
         other.sign_in()
         other.page.evaluate(
@@ -189,6 +191,7 @@ def test_what_is_not_saved_is_there_again_and_two_people_see_each_other(
         other.page.get_by_text("version 1 by anna").wait_for()
         other.page.keyboard.press("ArrowDown")
         other.page.get_by_text("saved as version 2").wait_for()
+    page.unroute_all()  # not before: the page tries again and again
     labelling.open(address)
     page.get_by_text("ben saved this instant meanwhile").wait_for()
     page.get_by_role("button", name="Go on with this").click()
@@ -197,26 +200,8 @@ def test_what_is_not_saved_is_there_again_and_two_people_see_each_other(
     forward = 0.05 * np.array([np.cos(start[6]), np.sin(start[6])])
     box = saved(api, job, labelling)["labels"]["vehicles"][0]["box"]  # type: ignore[index]
     np.testing.assert_allclose(box[:2], start[:2] + forward, atol=1e-9)
-    labelling.complaints.clear()  # the console names what was cut off, and the refusal
-
-
-@pytest.mark.parametrize("scheme", ["light", "dark"])
-def test_axe_finds_nothing_serious(playwright_browser: object, api: LiveApi, job: str, scheme: str) -> None:
-    axe = pytest.importorskip("axe_playwright_python.sync_playwright", reason="axe is not installed: make setup").Axe()
-    with visit(playwright_browser, api.url, color_scheme=scheme) as tab:  # type: ignore[arg-type]
-        tab.sign_in()
-        page = tab.open(f"/jobs/{job}/labelling")
-        page.get_by_text("not labelled yet").wait_for()
-        page.get_by_role("button", name="Take the proposals").click()
-        page.get_by_text("saved as version").wait_for()
-        found = axe.run(page).response["violations"]
-        serious = [
-            f"{one['id']}: {node['html'][:120]} {node['failureSummary'][:200]}"
-            for one in found
-            if one["impact"] in ("serious", "critical")
-            for node in one["nodes"]
-        ]
-        assert serious == []
+    labelling.forgive("ERR_FAILED")
+    labelling.forgive("status of 412")
 
 
 def test_a_job_that_has_fitted_nothing_says_when_it_can_be_labelled(signed_in: Visit, api: LiveApi) -> None:

@@ -27,7 +27,6 @@ def test_a_job_without_tracks_says_when_there_will_be_some(signed_in: Visit, api
     job = api.http.post(f"/v1/sites/{site}/jobs", json={}).json()["id"]
     page = signed_in.open(f"/jobs/{job}/player")
     page.get_by_text("There are no tracks yet.").wait_for()
-    signed_in.complaints.clear()  # the console names the addresses that have nothing yet
 
 
 def test_it_draws_sixty_vehicles_in_four_views(signed_in: Visit) -> None:

@@ -52,6 +52,13 @@ class JobResults:
                 found += self._files(stage.name, stage.hash).values()
         return found
 
+    def has(self, job: Job, artifact: Artifact[Any]) -> bool:
+        """Whether the artifact is there: its stage has published, and wrote it."""
+        stage = job.stage(artifact.stage)
+        if stage is None or not stage.state.has_outputs or self._store.find(stage.name, stage.hash) is None:
+            return False
+        return any(file.artifact == artifact for file in self._files(stage.name, stage.hash).values())
+
     def finished(self, job: Job) -> ArtifactReader:
         """What the job's finished stages have made."""
         folders = {

@@ -97,17 +97,38 @@ export async function send(method, path, body, headers = {}) {
   return text ? JSON.parse(text) : null;
 }
 
-/**
- * The value, or null where the service has none (yet).
- * @param {string} path
- * @returns {Promise<any>}
- */
-export async function getIfThere(path) {
-  try {
-    return await get(path);
-  } catch (error) {
-    if (error instanceof Problem && (error.status === 404 || error.status === 409)) return null;
-    throw error;
+/** What the finished stages of a job have made, so that nothing is asked for that is not there. */
+export class Results {
+  /** @param {string} jobId @param {any[]} files as `GET /v1/jobs/{id}/artifacts` lists them */
+  constructor(jobId, files) {
+    this.path = `/v1/jobs/${jobId}`;
+    this.files = files;
+  }
+
+  /** @param {string} jobId */
+  static async of(jobId) {
+    return new Results(jobId, await getAll(`/v1/jobs/${jobId}/artifacts?limit=1000`));
+  }
+
+  /** @param {string} artifact its name @returns {boolean} */
+  has(artifact) {
+    return this.files.some((one) => one.artifact === artifact);
+  }
+
+  /** The document of an artifact that is one JSON file; null where it is not there. @param {string} artifact its name @returns {Promise<any>} */
+  async document(artifact) {
+    const file = this.files.find((one) => one.artifact === artifact);
+    return file ? get(`${this.path}/artifacts/${file.id}`) : null;
+  }
+
+  /** What the job answers once an artifact is there; null before. @param {string} artifact its name @param {string} path with a leading slash @returns {Promise<any>} */
+  async answer(artifact, path) {
+    return this.has(artifact) ? get(this.path + path) : null;
+  }
+
+  /** Cameras and classes, once the cameras are calibrated; null before. @returns {Promise<any>} */
+  async scene() {
+    return this.answer(this.has("rig") ? "rig" : "calibrated-rig", "/scene");
   }
 }
 

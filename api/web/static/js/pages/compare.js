@@ -1,5 +1,5 @@
 // Two jobs side by side: figures, options that differ, how long stages took, what they warn of.
-import { get, getAll, getIfThere, query } from "../api.js";
+import { get, getAll, query, Results } from "../api.js";
 import { attempt, byId, fill, h, message, sentence } from "../dom.js";
 import { bars, figure } from "../chart.js";
 import { meanSd, number, percent, when } from "../format.js";
@@ -10,7 +10,8 @@ const nameOf = (job) => job.name || job.id;
 
 /** @param {string} id */
 async function load(id) {
-  const [job, metrics, conflicts] = await Promise.all([get(`/v1/jobs/${id}`), getIfThere(`/v1/jobs/${id}/metrics`), getIfThere(`/v1/jobs/${id}/conflicts`)]);
+  const [job, made] = await Promise.all([get(`/v1/jobs/${id}`), Results.of(id)]);
+  const [metrics, conflicts] = await Promise.all([made.answer("metrics", "/metrics"), made.answer("conflicts", "/conflicts")]);
   return { job, metrics, conflicts };
 }
 

@@ -1,5 +1,5 @@
 // A job's conflicts: filtered, on the ground, as a scatter, each with what somebody says of it.
-import { get, getAll, getIfThere, request, send } from "../api.js";
+import { get, getAll, request, Results, send } from "../api.js";
 import { attempt, byId, fill, h, message, say } from "../dom.js";
 import { clock, number, percent, words } from "../format.js";
 import { figure, plot } from "../chart.js";
@@ -98,12 +98,12 @@ attempt(async () => {
   const job = await get(`/v1/jobs/${jobId}`);
   showTitle(job);
   showTabs(job);
-  const document_ = await getIfThere(`/v1/jobs/${jobId}/conflicts`);
+  const made = await Results.of(jobId), document_ = await made.answer("conflicts", "/conflicts");
   if (!document_) { fill(byId("nothing"), message("plain", "conflicts have not been looked for yet", "They appear here once the stage has finished.")); return; }
   conflicts = document_.conflicts;
   if (document_.exposure) { area = document_.exposure.outlines_m; byId("exposure").textContent = exposed(document_.exposure); }
   if (!conflicts.length) { fill(byId("nothing"), message("plain", "there are no conflicts", `The thresholds were TTC ${document_.thresholds.ttc_s} s and PET ${document_.thresholds.pet_s} s; a job's options change them.`)); return; }
-  const [said, scene] = await Promise.all([getAll(`/v1/jobs/${jobId}/conflicts/reviews`), getIfThere(`/v1/jobs/${jobId}/scene`)]);
+  const [said, scene] = await Promise.all([getAll(`/v1/jobs/${jobId}/conflicts/reviews`), made.scene()]);
   for (const review of said) reviews.set(review.conflict_id, review);
   cameras = (scene?.cameras ?? []).map((/** @type {any} */ camera) => new Camera(camera));
   for (const type of new Set(conflicts.map((one) => one.type))) byId("type").append(h("option", { value: type }, words(type)));

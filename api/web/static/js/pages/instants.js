@@ -1,5 +1,5 @@
 // Instant by instant: how boxes were associated, what was fitted to them, and what the network says before and after.
-import { get, getIfThere } from "../api.js";
+import { get, Results } from "../api.js";
 import { attempt, byId, fill, h, message, say } from "../dom.js";
 import { clock, number } from "../format.js";
 import { FrameCache } from "../frames.js";
@@ -113,7 +113,7 @@ attempt(async () => {
   const job = await get(`/v1/jobs/${jobId}`);
   showTitle(job);
   showTabs(job);
-  const [found, split] = await Promise.all([getIfThere(`/v1/jobs/${jobId}/scene`), getIfThere(`/v1/jobs/${jobId}/artifacts/dataset/split.json`)]);
+  const made = await Results.of(jobId), [found, split] = await Promise.all([made.scene(), made.document("split")]);
   if (!found || !split) { fill(byId("nothing"), message("plain", "nothing was associated yet", "Instants can be looked at once the stage “Split in time” has finished.")); return; }
   cameras = found.cameras.map((/** @type {any} */ camera) => new Camera(camera));
   for (const [part, of] of Object.entries(split.times_ns)) for (const time of of) parts.set(time, part);

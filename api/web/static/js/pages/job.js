@@ -1,5 +1,5 @@
 // One job: its stages as they go, log, warnings, files; cancel, restart, rename, share, delete.
-import { follow, get, getAll, send } from "../api.js";
+import { follow, get, Results, send } from "../api.js";
 import { ask, attempt, byId, complain, fill, h, message, say, sentence } from "../dom.js";
 import { duration, percent, size, when } from "../format.js";
 import { drawGraph } from "../graph.js";
@@ -38,7 +38,7 @@ function showActions() {
 }
 
 async function showFiles() {
-  const files = await getAll(`/v1/jobs/${jobId}/artifacts?limit=1000`);
+  const { files } = await Results.of(jobId);
   fill(byId("files").tBodies[0], files.length
     ? files.map((/** @type {any} */ file) => h("tr", null, h("td", null, file.title), h("td", null, file.stage),
       h("td", null, h("a", { href: `/v1/jobs/${jobId}/artifacts/${file.id}`, download: true }, file.name)), h("td.number", null, size(file.size_bytes))))

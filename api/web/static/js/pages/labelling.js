@@ -1,5 +1,5 @@
 // Labelling: all cameras' frames and the plan at one instant, with cuboids that are the same in all of them.
-import { get, getIfThere, query, send } from "../api.js";
+import { get, query, Results, send } from "../api.js";
 import { ask, attempt, byId, fill, h, message, say } from "../dom.js";
 import { clock, duration, number, percent } from "../format.js";
 import { FrameCache } from "../frames.js";
@@ -108,9 +108,9 @@ async function open(time, copied = []) {
   store = null;
   cache.want(neighbours(time).flatMap((at) => cameras.map((camera) => /** @type {[string, number]} */ ([camera.id, at]))));
   showFrames();
-  const [{ answer, draft }, proposed] = await Promise.all([here.open(), getIfThere(`/v1/jobs/${jobId}/labels/instants/${time}/proposal`)]);
+  const [{ answer, draft }, proposed] = await Promise.all([here.open(), get(`/v1/jobs/${jobId}/labels/instants/${time}/proposal`)]);
   if (time !== timeNs) return;
-  proposals = proposed ?? [];
+  proposals = proposed;
   if (!copied.length) from = null;
   const labels = draft ?? answer.labels;
   takeSeen(answer);
@@ -361,9 +361,9 @@ async function start() {
   const job = await get(`/v1/jobs/${jobId}`);
   showTitle(job);
   showTabs(job);
-  const done = new Set(job.stages.filter((/** @type {any} */ one) => ["succeeded", "reused"].includes(one.state)).map((/** @type {any} */ one) => one.name));
-  if (!["frames", "dataset", "lift"].every((name) => done.has(name))) { fill(byId("nothing"), message("plain", "there is nothing to label yet", "Instants can be labelled once the stage “Fit 7DoF boxes to all views” has finished.")); return; }
-  const [scene, found] = await Promise.all([get(`/v1/jobs/${jobId}/scene`), get(`/v1/jobs/${jobId}/instants`)]);
+  const made = await Results.of(jobId);
+  if (!["rig", "frames", "split", "fits"].every((name) => made.has(name))) { fill(byId("nothing"), message("plain", "there is nothing to label yet", "Instants can be labelled once the stage “Fit 7DoF boxes to all views” has finished.")); return; }
+  const [scene, found] = await Promise.all([made.scene(), get(`/v1/jobs/${jobId}/instants`)]);
   stored = found;
   cameras = scene.cameras.map((/** @type {any} */ camera) => new Camera(camera));
   classes = scene.classes;

@@ -1,5 +1,5 @@
 // The player: the plan and all cameras' frames in step, with what happened drawn in.
-import { get, getIfThere, query } from "../api.js";
+import { get, query, Results } from "../api.js";
 import { attempt, byId, fill, h, message, say } from "../dom.js";
 import { clock, number, percent, words } from "../format.js";
 import { ClipPanel } from "../clippanel.js";
@@ -247,13 +247,12 @@ async function start() {
   const job = await get(`/v1/jobs/${jobId}`);
   showTitle(job);
   showTabs(job);
-  const scene = await getIfThere(`/v1/jobs/${jobId}/scene`);
-  const has = job.stages.some((/** @type {any} */ stage) => stage.name === "track" && ["succeeded", "reused"].includes(stage.state));
-  if (!scene || !has) { fill(byId("nothing"), message("plain", "there are no tracks yet", "They can be played once the stage “Track” has finished.")); return; }
+  const made = await Results.of(jobId), scene = made.has("tracks") ? await made.scene() : null;
+  if (!scene) { fill(byId("nothing"), message("plain", "there are no tracks yet", "They can be played once the stage “Track” has finished.")); return; }
   cameras = scene.cameras.map((/** @type {any} */ camera) => new Camera(camera));
   classes = new Map(scene.classes.map((/** @type {any} */ one) => [one.name, one.colour]));
   fill(byId("nothing"), h("p.note", { role: "status" }, "Loading tracks …"));
-  const [found, document_, stored] = await Promise.all([Tracks.load(jobId, (count) => { byId("nothing").textContent = `Loading tracks … ${count} states`; }), getIfThere(`/v1/jobs/${jobId}/conflicts`), getIfThere(`/v1/jobs/${jobId}/instants`)]);
+  const [found, document_, stored] = await Promise.all([Tracks.load(jobId, (count) => { byId("nothing").textContent = `Loading tracks … ${count} states`; }), made.answer("conflicts", "/conflicts"), made.answer("frames", "/instants")]);
   tracks = found;
   conflicts = document_?.conflicts ?? [];
   instants = stored?.times_ns ?? [];

@@ -1,5 +1,5 @@
 // What is known of a job's recordings before anything is learned: do they fit together, in time and in space?
-import { get, getIfThere } from "../api.js";
+import { get, Results } from "../api.js";
 import { figure } from "../chart.js";
 import { Coverage } from "../coverage.js";
 import { attempt, byId, fill, h, message } from "../dom.js";
@@ -12,9 +12,6 @@ import { spans } from "../spans.js";
 
 /** Stages whose warnings are about what was recorded. */
 const STAGES = ["preflight", "calibrate", "sync"];
-
-/** @param {string} name a file of a stage */
-const file = (name) => getIfThere(`/v1/jobs/${jobId}/artifacts/${name}`);
 
 /** @param {any} job */
 function showWarnings(job) {
@@ -109,7 +106,8 @@ attempt(async () => {
   showTitle(job);
   showTabs(job);
   showWarnings(job);
-  const [probe, clocks, residuals, scene] = await Promise.all([file("preflight/probe.json"), file("sync/clocks.json"), file("calibrate/residuals.json"), getIfThere(`/v1/jobs/${jobId}/scene`)]);
+  const made = await Results.of(jobId);
+  const [probe, clocks, residuals, scene] = await Promise.all([made.document("probe"), made.document("clocks"), made.document("residuals"), made.scene()]);
   if (probe) { showRecordings(job, probe); showClocks(probe, clocks); }
   byId("known").hidden = !probe;
   if (scene) showViews(scene.cameras.map((/** @type {any} */ camera) => new Camera(camera)), residuals);

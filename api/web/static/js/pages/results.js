@@ -1,5 +1,5 @@
 // What came out of a job: figures from the stages' documents, with the numbers behind them.
-import { get, getAll, getIfThere } from "../api.js";
+import { get, Results } from "../api.js";
 import { attempt, byId, fill, h, message } from "../dom.js";
 import { jobId, showTabs, showTitle } from "../jobtabs.js";
 import { residualFigure, trajectoryFigure } from "../placefigures.js";
@@ -8,8 +8,7 @@ import { beforeAfter, cameras, clocks, clockWitnesses, selfConsistency, table } 
 import { Tracks } from "../trackdata.js";
 import { dataFigures, qualityFigures, syncFigures, trainingFigures } from "../resultfigures.js";
 
-/** @param {string} name a file of a stage */
-const file = (name) => getIfThere(`/v1/jobs/${jobId}/artifacts/${name}`);
+let made = new Results(jobId, []);
 
 /** Show a section. @param {string} id @param {...any} content */
 function show(id, ...content) {
@@ -21,7 +20,7 @@ function show(id, ...content) {
 const figures = (found) => (found.length ? h("div.figure-grid", null, found) : null);
 
 async function quality() {
-  const metrics = await getIfThere(`/v1/jobs/${jobId}/metrics`);
+  const metrics = await made.answer("metrics", "/metrics");
   if (!metrics) return false;
   show("quality",
     metrics.baseline ? beforeAfter(metrics) : message("plain", "there are no hand labels of this site", "Agreement with the other views says how good boxes are without them."),
@@ -30,36 +29,36 @@ async function quality() {
 }
 
 async function training() {
-  const curves = await file("finetune/curves.json");
+  const curves = await made.document("curves");
   if (curves) show("training", figures(trainingFigures(curves)));
   return !!curves;
 }
 
 async function sync() {
-  const changes = await file("sync/changes.json");
+  const changes = await made.document("changes");
   if (changes) show("sync", changes.method === "none" ? h("p.note", null, "The recordings share a clock; nothing was searched.") : [clocks(changes), ...clockWitnesses(changes)], figures(syncFigures(changes)));
   return !!changes;
 }
 
 async function calibration() {
-  const residuals = await file("calibrate/residuals.json");
+  const residuals = await made.document("residuals");
   if (!residuals) return false;
-  const scene = await getIfThere(`/v1/jobs/${jobId}/scene`);
+  const scene = await made.scene();
   const found = await Promise.all((scene?.cameras ?? []).filter((/** @type {any} */ one) => residuals.cameras[one.id]).map((/** @type {any} */ one) => residualFigure(jobId, new Camera(one), residuals.cameras[one.id], one.stored_width_px !== null)));
   show("calibration", cameras(residuals), figures(found.filter(Boolean)));
   return true;
 }
 
 async function trajectories() {
-  const scene = await getIfThere(`/v1/jobs/${jobId}/scene`);
-  if (!scene || !(await getIfThere(`/v1/jobs/${jobId}/tracks?limit=1`))?.states.length) return false;
+  const scene = await made.scene();
+  if (!scene || !(await made.answer("tracks", "/tracks?limit=1"))?.states.length) return false;
   show("tracks", h("p.note", { role: "status" }, "Loading tracks …"));
   show("tracks", figures([trajectoryFigure(scene, await Tracks.load(jobId, () => {}))]));
   return true;
 }
 
 async function data() {
-  const statistics = await file("dataset/statistics.json");
+  const statistics = await made.document("dataset-statistics");
   if (!statistics) return false;
   const parts = Object.entries(statistics.subsets);
   show("data", table("Parts in time", ["Part", "Instants", "Seconds", "Vehicles linked over time", "Sightings", "2D boxes"],
@@ -67,9 +66,8 @@ async function data() {
   return true;
 }
 
-async function downloads() {
-  const files = await getAll(`/v1/jobs/${jobId}/artifacts?limit=1000`);
-  const has = (/** @type {string} */ artifact) => files.some((/** @type {any} */ one) => one.artifact === artifact);
+function downloads() {
+  const has = (/** @type {string} */ artifact) => made.has(artifact);
   const link = (/** @type {string} */ href, /** @type {string} */ text) => h("a.button", { href, download: true }, text);
   fill(byId("downloads"),
     has("report") ? h("button.primary", { type: "button", onclick: () => attempt(async () => { location.assign((await get(`/v1/jobs/${jobId}/report-link`)).url); }) }, "Report") : null,
@@ -84,6 +82,8 @@ attempt(async () => {
   const job = await get(`/v1/jobs/${jobId}`);
   showTitle(job);
   showTabs(job);
-  const there = await Promise.all([quality(), training(), sync(), calibration(), data(), trajectories(), downloads()]);
+  made = await Results.of(jobId);
+  downloads();
+  const there = await Promise.all([quality(), training(), sync(), calibration(), data(), trajectories()]);
   if (!there.includes(true)) fill(byId("nothing"), message("plain", "nothing has been made yet", "Figures appear here as stages finish."));
 });
