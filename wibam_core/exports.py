@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 import tempfile
-import zipfile
-from collections.abc import Callable, Collection, Generator, Iterable, Mapping
+from collections.abc import Callable, Collection, Generator, Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from itertools import chain
 from pathlib import Path
@@ -21,9 +20,9 @@ from wibam_core.documents.exports import BoxSource, ExportOffer
 from wibam_core.errors import InputError
 from wibam_core.exchange.base import Content, ExchangeFormat, Part
 from wibam_core.exchange.registry import FORMATS, format_of
+from wibam_core.formats.archive import Member, zip_blocks
 from wibam_core.formats.framestore import FrameStore
 from wibam_core.formats.labels import read_labels
-from wibam_core.formats.outlet import Outlet
 from wibam_core.scene import Vehicles3D
 from wibam_core.site import Site
 
@@ -32,8 +31,6 @@ T = TypeVar("T")
 #: Quality of frames that leave in the size of the recording: what their second compression takes is not to be seen.
 _JPEG_QUALITY = 95
 _BLOCK_BYTES = 1 << 20
-#: Members of an archive that compressing makes no smaller.
-_COMPRESSED = frozenset({".jpg", ".npz", ".onnx", ".ottrk", ".parquet", ".safetensors"})
 _BOXES: Mapping[BoxSource, Artifact[list[Vehicles3D]]] = MappingProxyType(
     {BoxSource.FITS: catalogue.FITS, BoxSource.NETWORK: catalogue.PREDICTIONS_FINETUNED}
 )
@@ -133,7 +130,7 @@ class Export:
             raise
         self.name = first.name if second is None else f"{fmt.name}.zip"
         self.size_bytes = first.stat().st_size if second is None else None
-        self.blocks = _file(first) if second is None else _archive(folder, chain((first, second), paths))
+        self.blocks = _file(first) if second is None else zip_blocks(_members(folder, chain((first, second), paths)))
 
     def __enter__(self) -> Self:
         return self
@@ -165,21 +162,9 @@ def _file(path: Path) -> Generator[bytes]:
             yield block
 
 
-def _archive(folder: Path, paths: Iterable[Path]) -> Generator[bytes]:
-    """A zip archive, file by file; each is removed once it is in."""
-    outlet = Outlet()
-    with zipfile.ZipFile(outlet, "w") as archive:
-        for path in paths:
-            # the time of writing is left at zipfile's oldest, so that equal results are equal files
-            info = zipfile.ZipInfo(path.relative_to(folder).as_posix())
-            info.compress_type = zipfile.ZIP_STORED if path.suffix in _COMPRESSED else zipfile.ZIP_DEFLATED
-            with path.open("rb") as file, archive.open(info, "w", force_zip64=True) as member:
-                while block := file.read(_BLOCK_BYTES):
-                    member.write(block)
-                    if len(outlet) >= _BLOCK_BYTES:
-                        yield outlet.take()
-            path.unlink()
-    yield outlet.take()
+def _members(folder: Path, paths: Iterable[Path]) -> Iterator[Member]:
+    for path in paths:
+        yield Member(path.relative_to(folder).as_posix(), path, passing=True)
 
 
 def native_jpeg(frames: FrameStore) -> Callable[[str, int], bytes]:

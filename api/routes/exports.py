@@ -2,50 +2,24 @@
 
 from __future__ import annotations
 
-import mimetypes
 from typing import TYPE_CHECKING, Annotated, Any
 
-import anyio
 from fastapi import APIRouter, Path, Query
-from starlette.concurrency import run_in_threadpool
 from starlette.responses import StreamingResponse
-from starlette.types import Receive, Scope, Send
 
 from api.parameters import ONLY_KNOWN_PARAMETERS
 from api.problems import documented
 from api.services import Services, ServicesDep
+from api.streams import BINARY, BlocksResponse
 from wibam_core.documents.exports import BoxSource, ExportOffer
 
 if TYPE_CHECKING:  # formats take long to import, and a service starts often without being asked for one
-    from wibam_core.exports import Export, ExportSource
+    from wibam_core.exports import ExportSource
 
 router = APIRouter(prefix="/v1/jobs/{job_id}/exports", tags=["results"], responses=documented(401, 404, 409))
-_BINARY = "application/octet-stream"
 _FILE: dict[int | str, dict[str, Any]] = {
-    200: {"content": {_BINARY: {}, "application/zip": {}}, "description": "A file, or a zip archive of several"}
+    200: {"content": {BINARY: {}, "application/zip": {}}, "description": "A file, or a zip archive of several"}
 }
-
-
-class ExportResponse(StreamingResponse):
-    """Sends an export block by block, and closes it however the sending ends."""
-
-    def __init__(self, job_id: str, opened: Export) -> None:
-        headers = {
-            "Content-Disposition": f'attachment; filename="{job_id}-{opened.name}"',
-            "X-Content-Type-Options": "nosniff",
-            "Content-Security-Policy": "sandbox",
-            **({} if opened.size_bytes is None else {"Content-Length": str(opened.size_bytes)}),
-        }
-        media_type = mimetypes.guess_type(opened.name)[0] or _BINARY
-        super().__init__(opened.blocks, media_type=media_type, headers=headers)
-        self._opened = opened
-
-    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
-        try:
-            await super().__call__(scope, receive, send)
-        finally:
-            with anyio.CancelScope(shield=True):
-                await run_in_threadpool(self._opened.close)
 
 
 @router.get("", summary="List the formats that a job can be exported in")
@@ -79,7 +53,8 @@ def export(
     """One file, or a zip archive where the format has several. `GET /v1/jobs/{job_id}/exports` lists the formats."""
     from wibam_core.exports import open_export
 
-    return ExportResponse(job_id, open_export(format, _source(services, job_id), boxes))
+    opened = open_export(format, _source(services, job_id), boxes)
+    return BlocksResponse(opened.blocks, f"{job_id}-{opened.name}", opened.close, opened.size_bytes)
 
 
 def _source(services: Services, job_id: str) -> ExportSource:

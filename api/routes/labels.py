@@ -15,9 +15,9 @@ from api.bodies import BoundedJsonRoute
 from api.paging import PageDep
 from api.parameters import ONLY_KNOWN_PARAMETERS
 from api.problems import documented
-from api.routes.exports import ExportResponse
 from api.schemas import JobOut
 from api.services import Services, ServicesDep
+from api.streams import BlocksResponse
 from wibam_core.adapters.label_store import LabelSet, LabelVersion
 from wibam_core.adapters.planning import plan_stages
 from wibam_core.adapters.site_store import UploadRequest
@@ -265,7 +265,8 @@ def export(
     frames = {one.time_ns: one for one in store.frame_sets}
     there = [labels for labels in finished if labels.vehicles.time_ns in frames]
     rig = services.results.read(job, catalogue.RIG)
-    return ExportResponse(f"{job_id}-labels", Export(fmt, content_of(job.site, rig, there, frames, native_jpeg(store))))
+    opened = Export(fmt, content_of(job.site, rig, there, frames, native_jpeg(store)))
+    return BlocksResponse(opened.blocks, f"{job_id}-labels-{opened.name}", opened.close, opened.size_bytes)
 
 
 @router.post("/evaluate", status_code=202, summary="Evaluate a job with hand labels", responses=documented(413, 422))

@@ -3,21 +3,23 @@
 from __future__ import annotations
 
 import base64
+import time
+from collections.abc import Iterable
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
-from fastapi import APIRouter, Query
+from fastapi import APIRouter, Depends, Query
 from pydantic import Field
 from starlette.responses import FileResponse, JSONResponse, Response, StreamingResponse
 
 from api.paging import PageDep
 from api.parameters import ONLY_KNOWN_PARAMETERS
 from api.problems import documented
-from api.schemas import ArtifactOut, ReportLinkOut
+from api.schemas import ArtifactOut, JobOut, ReportLinkOut
 from api.services import Services, ServicesDep
-from api.streams import STREAMS
-from wibam_core.adapters.results import ResultFile, conflicts_csv
+from api.streams import STREAMS, BlocksResponse
+from wibam_core.adapters.results import ResultFile, archive_of, conflicts_csv
 from wibam_core.adapters.track_query import (
     TrackQuery,
     cursor_of,
@@ -30,6 +32,8 @@ from wibam_core.artifacts import catalogue
 from wibam_core.documents.conflicts import Conflicts
 from wibam_core.documents.metrics import Metrics
 from wibam_core.documents.tracks import TrackPage
+from wibam_core.errors import Conflict
+from wibam_core.formats.archive import zip_blocks
 from wibam_core.jobs.records import Job
 from wibam_core.road_users import RoadUserClass
 
@@ -45,6 +49,31 @@ _REPORT_HEADERS = {
     "X-Content-Type-Options": "nosniff",
     "Referrer-Policy": "no-referrer",
 }
+
+
+class WantedFiles:
+    """Which of a job's files are asked for."""
+
+    def __init__(
+        self,
+        stage: Annotated[list[str] | None, Query(max_length=100, description="written by any of these stages")] = None,
+        artifact: Annotated[
+            list[str] | None, Query(max_length=100, description="that are a part of any of these")
+        ] = None,
+    ) -> None:
+        self._stages, self._artifacts = stage or (), artifact or ()
+
+    def of(self, files: Iterable[ResultFile]) -> list[ResultFile]:
+        """Those of them that are."""
+        return [
+            file
+            for file in files
+            if (not self._stages or file.stage in self._stages)
+            and (not self._artifacts or file.artifact.name in self._artifacts)
+        ]
+
+
+WantedFilesDep = Annotated[WantedFiles, Depends()]
 
 
 @router.get("/metrics", summary="How good the model is")
@@ -154,20 +183,31 @@ def conflicts(
     dependencies=[ONLY_KNOWN_PARAMETERS],
     responses=documented(422),
 )
-def artifacts(
-    job_id: str,
-    services: ServicesDep,
-    page: PageDep,
-    stage: Annotated[list[str] | None, Query(max_length=100, description="written by any of these stages")] = None,
-    artifact: Annotated[list[str] | None, Query(max_length=100, description="that are a part of any of these")] = None,
-) -> list[ArtifactOut]:
+def artifacts(job_id: str, services: ServicesDep, page: PageDep, wanted: WantedFilesDep) -> list[ArtifactOut]:
     """Everything that its finished stages wrote, by its id."""
-    files = [
-        file
-        for file in services.results.files(services.jobs.job(job_id))
-        if (not stage or file.stage in stage) and (not artifact or file.artifact.name in artifact)
-    ]
+    files = wanted.of(services.results.files(services.jobs.job(job_id)))
     return [ArtifactOut.of(file) for file in page.of_all(files, lambda file: (file.id,), str)]
+
+
+@router.get(
+    "/archive",
+    summary="Download a job's files as one zip archive",
+    response_class=StreamingResponse,
+    dependencies=[ONLY_KNOWN_PARAMETERS],
+    responses={200: {"content": {"application/zip": {}}, "description": "A zip archive"}, **documented(422)},
+)
+def archive(job_id: str, services: ServicesDep, wanted: WantedFilesDep) -> StreamingResponse:
+    """Everything that its finished stages wrote until now, in a folder with its id, with `job.json` (the job as it is)
+    and `SHA256SUMS`. It is sent while it is made. Frames are much the largest part: ask for other stages where they are
+    not needed.
+    """
+    job = services.jobs.job(job_id)
+    files = wanted.of(services.results.files(job))
+    if not files:
+        raise Conflict(f"job {job_id} has no such files", hint="Wait until a stage has finished, or ask for others.")
+    described = JobOut.of(job, time.time()).model_dump_json(indent=1).encode()
+    blocks = zip_blocks(archive_of(job, files, described))
+    return BlocksResponse(blocks, f"{job_id}.zip", blocks.close)
 
 
 @router.get("/artifacts/{stage}/{name:path}", summary="Download a file of a job", response_class=FileResponse)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import csv
 import io
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
@@ -16,6 +16,7 @@ from wibam_core.artifacts.catalogue import FRAMES, made_by
 from wibam_core.documents.conflicts import ConflictRow, Conflicts
 from wibam_core.documents.manifest import FileFacts
 from wibam_core.errors import Conflict, NotFound
+from wibam_core.formats.archive import Member
 from wibam_core.formats.framestore import FrameStore
 from wibam_core.jobs.records import Job
 from wibam_core.stages.store import StageStore
@@ -123,6 +124,24 @@ class JobResults:
             for name in sorted(facts)
             if (artifact := artifacts.get(name.partition("/")[0])) is not None
         }
+
+
+def archive_of(job: Job, files: Sequence[ResultFile], described: bytes) -> Iterator[Member]:
+    """Results as members of an archive, in a folder with the job's id.
+
+    Args:
+        job: whose.
+        files: which.
+        described: what is said of the job (JSON), for ``job.json``.
+
+    Yields:
+        ``job.json``, the digests of all files for ``sha256sum --check SHA256SUMS``, and the files by their ids.
+    """
+    sums = "".join(f"{file.sha256}  {file.id}\n" for file in files)
+    yield Member(f"{job.id}/job.json", described)
+    yield Member(f"{job.id}/SHA256SUMS", sums.encode())
+    for file in files:
+        yield Member(f"{job.id}/{file.id}", file.path)
 
 
 def _result_file(artifact: Artifact[Any], name: str, facts: FileFacts, folder: Path) -> ResultFile:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time
+from pathlib import Path
 from typing import Annotated
 
 import typer
@@ -167,6 +168,21 @@ def log(
                 return
             if not text:
                 time.sleep(0.5)
+
+
+@app.command()
+def download(
+    job_id: JobId,
+    url: Url = DEFAULT_URL,
+    token: Token = "",
+    out: Annotated[Path, typer.Option(help="A file, or a folder to put it into under its own name.")] = Path(),
+    stage: Annotated[list[str] | None, typer.Option(help="What these stages wrote; left out, all.")] = None,
+    artifact: Annotated[list[str] | None, typer.Option(help="What is a part of these, e.g. tracks.")] = None,
+) -> None:
+    """Download a job's files as one zip archive."""
+    with connect(url, token) as client:
+        written = client.download_archive(job_id, out, stages=stage or (), artifacts=artifact or ())
+    Console().print(f"[bold]{escape(str(written))}[/]", highlight=False, soft_wrap=True)
 
 
 def _current_stage(job: JobView) -> str:

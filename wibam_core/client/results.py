@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from pathlib import Path
 from typing import Any
 from urllib.parse import quote
@@ -90,6 +90,20 @@ class ResultRequests(Requests):
 
     def artifacts(self, job_id: str) -> list[ArtifactView]:
         return [ArtifactView.model_validate(item) for item in self._connection.items(f"/v1/jobs/{job_id}/artifacts")]
+
+    def download_archive(
+        self, job_id: str, target: Path, *, stages: Iterable[str] = (), artifacts: Iterable[str] = ()
+    ) -> Path:
+        """A job's files as one zip archive, in a folder with its id.
+
+        Args:
+            job_id: which.
+            target: a file, or a folder to put it into under the name that the service gives it.
+            stages: what these have written; none: all.
+            artifacts: what is a part of these; none: all.
+        """
+        params = {"stage": list(stages), "artifact": list(artifacts)}
+        return self._connection.download(f"/v1/jobs/{job_id}/archive", target, params)
 
     def download_artifact(self, job_id: str, artifact_id: str, target: Path) -> Path:
         """A file by its id, e.g. ``"evaluate/metrics.json"``."""

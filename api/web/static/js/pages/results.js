@@ -1,6 +1,7 @@
 // What came out of a job: figures from the stages' documents, with the numbers behind them.
-import { get, Results } from "../api.js";
+import { get, query, Results } from "../api.js";
 import { attempt, byId, fill, h, message } from "../dom.js";
+import { size } from "../format.js";
 import { jobId, showTabs, showTitle } from "../jobtabs.js";
 import { residualFigure, trajectoryFigure } from "../placefigures.js";
 import { Camera } from "../projection.js";
@@ -66,8 +67,13 @@ async function data() {
   return true;
 }
 
+/** @param {any} file */
+const isFrame = (file) => file.artifact === "frames";
+/** @param {any[]} files */
+const total = (files) => files.reduce((sum, file) => sum + file.size_bytes, 0);
+
 function downloads() {
-  const has = (/** @type {string} */ artifact) => made.has(artifact);
+  const files = made.files, has = (/** @type {string} */ artifact) => made.has(artifact);
   const link = (/** @type {string} */ href, /** @type {string} */ text) => h("a.button", { href, download: true }, text);
   fill(byId("downloads"),
     has("report") ? h("button.primary", { type: "button", onclick: () => attempt(async () => { location.assign((await get(`/v1/jobs/${jobId}/report-link`)).url); }) }, "Report") : null,
@@ -75,7 +81,9 @@ function downloads() {
     has("weights-onnx") ? link(`/v1/jobs/${jobId}/model?format=onnx`, "Network (ONNX)") : null,
     has("tracks") ? link(`/v1/jobs/${jobId}/tracks?format=csv`, "Tracks (CSV)") : null,
     has("tracks") ? link(`/v1/jobs/${jobId}/tracks?format=parquet`, "Tracks (Parquet)") : null,
-    has("conflicts") ? link(`/v1/jobs/${jobId}/conflicts?format=csv`, "Conflicts (CSV)") : null);
+    has("conflicts") ? link(`/v1/jobs/${jobId}/conflicts?format=csv`, "Conflicts (CSV)") : null,
+    files.length ? link(`/v1/jobs/${jobId}/archive`, `All files (zip of ${size(total(files))})`) : null,
+    files.some(isFrame) ? link(`/v1/jobs/${jobId}/archive${query({ artifact: [...new Set(files.filter((/** @type {any} */ one) => !isFrame(one)).map((/** @type {any} */ one) => one.artifact))] })}`, `All but frames (zip of ${size(total(files.filter((/** @type {any} */ one) => !isFrame(one))))})`) : null);
 }
 
 attempt(async () => {
