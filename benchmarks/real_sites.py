@@ -7,7 +7,7 @@ lies in, with counts and intervals. Labels evaluate, and choose nothing.
 Writes ``real-sites.json``, ``real-sites.md`` and ``real-sites.png``; nothing of the footage enters them.
 
 Run: python -m benchmarks.real_sites SITE --labels LABELS.json --area AREA.json --runs build/real --detector bundled
-     --seeds 0 1 2 --rounds 2 --set finetune.steps=200 --out docs
+     --seeds 0 1 2 --set finetune.steps=200 --out docs
 """
 
 from __future__ import annotations
@@ -84,7 +84,7 @@ def run(arguments: argparse.Namespace, seed: int) -> ArtifactReader:
     # labels in the site would only be evaluated by another benchmark's rules
     folder = replace(folder, assets={name: path for name, path in folder.assets.items() if name != "labels"})
     asked = parse_options(arguments.set)
-    for stage, values in ({"finetune": {"seed": seed}, "rounds": {"most": arguments.rounds, "seed": seed}}).items():
+    for stage, values in {"finetune": {"seed": seed}, "rounds": {"seed": seed}}.items():
         options[stage] = {**options.get(stage, {}), **values}
     for stage, values in asked.items():
         options[stage] = {**options.get(stage, {}), **values}
@@ -122,7 +122,6 @@ def main() -> None:
     parser.add_argument("--detector", default="bundled", help="what rows call it")
     parser.add_argument("--detector-file", type=Path, help="ONNX; without, the bundled one")
     parser.add_argument("--seeds", type=int, nargs="+", default=[0])
-    parser.add_argument("--rounds", type=int, default=0, help="rounds.most")
     parser.add_argument("--set", nargs="*", default=[], metavar="OPTION=VALUE", help="options of the pipeline")
     parser.add_argument("--fits-only", action="store_true", help="nothing is fine-tuned: only what would teach")
     parser.add_argument("--measure-only", action="store_true", help="of the last run in the folder, whatever it was")
@@ -138,7 +137,7 @@ def main() -> None:
         row = {
             "site": arguments.site.resolve().name,
             "detector": arguments.detector,
-            "rounds_asked": arguments.rounds,
+            "rounds_asked": config.rounds.most,
             "steps": 0 if arguments.fits_only else steps,
             "seed": seed,
             "options": arguments.set,

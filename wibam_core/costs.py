@@ -18,6 +18,8 @@ from wibam_core.site import Site
 _NETWORK_WIDTH_PX, _HEIGHT_SHARE = 640, 9 / 16
 #: Work that cores share: the others run on one.
 _SHARED = frozenset({"sync", "frames", "detect", "rounds", "finetune", "predict", "evaluate"})
+#: How often a detector finds so little that a round is run, as far as anybody knows before; a second is not expected.
+_ROUNDS_EXPECTED = 0.5
 #: Pixels of the windows that a round teaches by, as a share of the images'.
 _WINDOWS = 0.16
 #: The work of sharing, as a share of a core that is lost for each further one.
@@ -79,16 +81,21 @@ class Footage:
         )
 
 
-def expected_s(footage: Footage, config: PipelineConfig, machine: Machine) -> dict[str, float]:
-    """Stage -> seconds that it will take by the clock, by itself on that machine."""
+def expected_s(
+    footage: Footage, config: PipelineConfig, machine: Machine, rounds: float = _ROUNDS_EXPECTED
+) -> dict[str, float]:
+    """Stage -> seconds that it will take by the clock, by itself on that machine.
+
+    ``rounds`` says how many rounds of finding and teaching are expected where the options allow any.
+    """
     effective = 1.0 + (machine.cores - 1) * (1.0 - _LOST_SHARE)
     return {
         stage: machine.slowness * (seconds / effective if stage in _SHARED else seconds)
-        for stage, seconds in _cpu_s(footage, config, machine.bfloat16).items()
+        for stage, seconds in _cpu_s(footage, config, machine.bfloat16, rounds).items()
     }
 
 
-def _cpu_s(footage: Footage, config: PipelineConfig, bfloat16: bool) -> dict[str, float]:
+def _cpu_s(footage: Footage, config: PipelineConfig, bfloat16: bool, rounds: float) -> dict[str, float]:
     """Stage -> CPU seconds on the machine where they were measured."""
     minutes = footage.seconds / 60
     decoding = 0.0032 * footage.megapixels + 0.0002 * footage.frames
@@ -105,7 +112,10 @@ def _cpu_s(footage: Footage, config: PipelineConfig, bfloat16: bool) -> dict[str
     # which of the lights and the traffic "auto" needs depends on what they show
     asks_traffic = {"traffic": 1.0, "both": 1.0, "auto": 0.5 if footage.has_signals else 1.0}.get(config.sync.method, 0)
     image = 0.035 * network / 0.23  # the 3D network and its second look, an image
-    fitting = 14.0 * minutes * footage.cameras / 4  # associated, fitted, and fitted again without each camera
+    of_val = max(config.dataset.val_share, 0.0) * footage.seconds + 2 * config.dataset.gap_s
+    # associated, and fitted without each camera in turn where that judges
+    judging = (2.0 * minutes + 8.0 * min(of_val / 60, minutes)) * footage.cameras / 4
+    fitting = judging + 6.0 * minutes * config.dataset.train_share * footage.cameras / 4
     teaching = 3.0 + (0.056 if bfloat16 else 0.21) * _WINDOWS * 8 * config.rounds.steps
     return {
         "preflight": 1.0 + 1e-4 * footage.frames,
@@ -116,7 +126,9 @@ def _cpu_s(footage: Footage, config: PipelineConfig, bfloat16: bool) -> dict[str
         "frames": 1.0 + decoding + 0.012 * footage.stored_megapixels * stored,
         "detect": 2.0 + (0.0125 + decoded_jpeg) * searched + (config.detect.refine != "off") * 0.035 * searched,
         "refine": 0.7 if config.refine.method == "none" else 3.0 + 9.0 * min(minutes, 5.0) * footage.cameras / 4,
-        "rounds": 1.0 + config.rounds.most * (fitting + teaching + (image + decoded_jpeg + 0.04) * searched),
+        "rounds": 1.0
+        if config.rounds.most == 0
+        else 3.0 + judging + rounds * (fitting + teaching + (image + decoded_jpeg + 0.04) * searched),
         "associate": 1.0 + 2.0 * minutes * footage.cameras / 4,
         "dataset": 1.5,
         "lift": 2.0 + 6.0 * minutes * footage.cameras / 4,

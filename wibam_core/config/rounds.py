@@ -9,12 +9,19 @@ from wibam_core.config.base import StageConfig
 
 class RoundsConfig(StageConfig):
     most: int = Field(
-        0,
+        2,
         ge=0,
         le=6,
         description="so many times at most, what several cameras see teaches the site's own network, which then looks"
-        " for what the detector overlooked; for detectors that find too few of the vehicles. A round takes about as"
-        " long as fine-tuning for 200 steps",
+        " for what the detector overlooked; only where it overlooks much (enough). A round takes about as long as"
+        " fine-tuning for 200 steps; 0: never, and nothing is judged",
+    )
+    enough: float = Field(
+        0.8,
+        ge=0,
+        le=1,
+        description="no round begins once each camera has boxes of this share of the vehicles that the others place"
+        " and it should show; 1: until nothing is gained any more",
     )
     steps: int = Field(150, ge=1, le=20_000, description="gradient steps of teaching in a round")
     least_gain: float = Field(

@@ -45,7 +45,7 @@ def split_in_time(instants: Sequence[AnnotatedInstant], config: DatasetConfig) -
         subsets[name] = tuple(int(t) for t in chosen[(chosen >= begin - 0.5) & (chosen < end - 0.5)])
         begin = end + (config.gap_s * 1e9 if shares[name] > 0 else 0.0)
     _check(subsets, shares, config, gaps, span_s)
-    return Split(times_ns=subsets, left_out_tracks=_left_out(instants, subsets))
+    return Split(times_ns=subsets, left_out_tracks=seen_later(instants, subsets))
 
 
 def _length_s(times_ns: IntArray) -> float:
@@ -95,7 +95,13 @@ def _check(
     )
 
 
-def _left_out(instants: Sequence[AnnotatedInstant], subsets: Mapping[str, Sequence[int]]) -> dict[str, frozenset[int]]:
+def seen_later(instants: Sequence[AnnotatedInstant], subsets: Mapping[str, Sequence[int]]) -> dict[str, frozenset[int]]:
+    """Subset -> tracks that a later subset sees, too.
+
+    Args:
+        instants: associated.
+        subsets: subset -> its instants, ns; those that are not among ``instants`` see nothing.
+    """
     seen: dict[str, set[int]] = {}
     for name in SUBSETS:
         times = set(subsets[name])

@@ -13,7 +13,7 @@ class HeldOutAgreement(Document):
 
     instants: int
     sightings: int
-    """Boxes of a camera that show a vehicle which the other cameras' boxes place."""
+    """Boxes of a camera that show a vehicle which the other cameras' boxes place. Vehicles that taught do not count."""
     iou: float | None
     """Mean overlap (IoU) of these boxes with the outlines of the fits."""
     missed: int
@@ -29,14 +29,14 @@ class Round(Document):
 
     number: int
     boxes_an_image: dict[str, float]
-    """By camera."""
+    """By camera, at the instants before the test part."""
     vehicles_an_instant: dict[str, float]
-    """How many vehicles an instant are seen in so many views."""
+    """How many vehicles an instant are seen in so many views, before the test part."""
     views_a_vehicle: float | None
-    fits: int
-    """Vehicle-instants that were fitted to all views, the test part included."""
     taught_vehicles: int | None = None
     """Tracks of the training part that taught the network that found these boxes; none in round 0."""
+    taught_fits: int | None = None
+    """Their fits: vehicle-instants of the training part."""
     agreement: HeldOutAgreement
 
 
@@ -44,7 +44,8 @@ class Rounds(Document):
     """All rounds, those that were not kept included."""
 
     rounds: list[Round]
+    """None where nothing was judged."""
     kept: int
     """Number of the round whose boxes are used."""
     reason: str
-    """Why no other round followed."""
+    """Why no other round followed, or none was run."""

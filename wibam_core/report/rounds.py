@@ -35,9 +35,11 @@ def round_rows(rounds: Rounds) -> tuple[tuple[str, ...], ...]:
 
 
 def rounds_text(rounds: Rounds) -> str:
-    """What the rows show; nothing without rounds."""
-    if len(rounds.rounds) < 2:
+    """What the rows show, or why no round was run; nothing where none was thought of."""
+    if not rounds.rounds:
         return ""
+    if len(rounds.rounds) == 1:
+        return f"No network was taught to look for what the detector overlooked: {rounds.reason}."
     return (
         "What several cameras see taught a network, which looked for what the detector overlooked; round 0 is what it "
         "found. Each camera's boxes were compared with vehicles that the others place, at instants that neither taught "

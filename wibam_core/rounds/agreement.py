@@ -7,7 +7,7 @@ all cameras share stays hidden, and so does a vehicle that fewer than two of the
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Sequence, Set
 from dataclasses import replace
 
 import numpy as np
@@ -25,7 +25,11 @@ from wibam_core.training.overlooked import overlooked
 
 
 def held_out_agreement(
-    instants: Sequence[AnnotatedInstant], rig: CameraRig, config: LiftConfig, progress: Progress = silent
+    instants: Sequence[AnnotatedInstant],
+    rig: CameraRig,
+    config: LiftConfig,
+    progress: Progress = silent,
+    taught: Set[int] = frozenset(),
 ) -> HeldOutAgreement:
     """The agreement of all cameras of the rig, each with fits to the boxes of the others.
 
@@ -34,12 +38,13 @@ def held_out_agreement(
         rig: the cameras that the instants name.
         config: how vehicles are fitted.
         progress: told now and then.
+        taught: tracks of vehicles that taught, which are not judged.
     """
     overlaps: list[float] = []
     missed = 0
     for number, camera_id in enumerate(rig):
         own = part(progress, number / len(rig), (number + 1) / len(rig))
-        fits = lift([_without(instant, camera_id) for instant in instants], rig, config, own).vehicles
+        fits = lift([_without(instant, camera_id, taught) for instant in instants], rig, config, own).vehicles
         found, lacking = _compared(instants, fits, rig, camera_id)
         overlaps += found
         missed += lacking
@@ -54,12 +59,13 @@ def held_out_agreement(
     )
 
 
-def _without(instant: AnnotatedInstant, camera_id: str) -> AnnotatedInstant:
-    """The instant without what one camera says of its vehicles."""
+def _without(instant: AnnotatedInstant, camera_id: str, taught: Set[int]) -> AnnotatedInstant:
+    """The instant without what one camera says of its vehicles, and without those that taught."""
     left = [
         replace(vehicle, views=views)
         for vehicle in instant.vehicles
-        if len(views := {other: row for other, row in vehicle.views.items() if other != camera_id}) >= 2
+        if vehicle.track_id not in taught
+        and len(views := {other: row for other, row in vehicle.views.items() if other != camera_id}) >= 2
     ]
     return replace(instant, vehicles=tuple(left))
 

@@ -14,7 +14,7 @@ from wibam_core.scene import Boxes2D, Vehicles3D
 #: Outlines narrower or lower than this, px, say nothing.
 _LEAST_PX = 4.0
 #: A box of the detector that overlaps one of the network by more (IoU) shows the same vehicle.
-_SAME_IOU = 0.4
+SAME_IOU = 0.4
 
 
 def outlines_of(vehicles: Vehicles3D, camera: Camera, max_iou: float) -> Found:
@@ -38,7 +38,7 @@ def beside(network: Found, detector: Boxes2D) -> Found:
     """
     overlaps = image_iou(detector.boxes, network.boxes)
     overlaps[VULNERABLE[detector.classes][:, None] != VULNERABLE[network.classes][None, :]] = 0.0
-    alone = np.flatnonzero(overlaps.max(axis=1, initial=0.0) <= _SAME_IOU)
+    alone = np.flatnonzero(overlaps.max(axis=1, initial=0.0) <= SAME_IOU)
     return Found(
         np.concatenate([network.boxes, detector.boxes[alone]]),
         np.concatenate([network.scores, detector.scores[alone]]),

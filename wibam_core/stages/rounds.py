@@ -22,15 +22,11 @@ from wibam_core.stages.base import StageContext, Summary
 
 
 def run(context: StageContext, config: RoundsConfig) -> Summary:
-    """Write `ROUND_DETECTIONS`, the boxes that the stages after it work on, and `ROUNDS`, what each round gained.
-
-    Raises:
-        NoVehicles, NoMultiViewVehicles, TooFewInstants: as the stages after would, where rounds are asked for.
-    """
+    """Write `ROUND_DETECTIONS`, the boxes that the stages after it work on, and `ROUNDS`, what each round gained."""
     detected = context.read(DETECTIONS)
     if config.most == 0:
         context.write(ROUND_DETECTIONS, detected)
-        context.write(ROUNDS, Rounds(rounds=[], kept=0, reason="no round was asked for"))
+        context.write(ROUNDS, Rounds(rounds=[], kept=0, reason="rounds are switched off"))
         return {"rounds": 0, "kept": 0}
     from wibam_core.rounds.rounds import run_rounds  # torch takes seconds to import
     from wibam_core.rounds.world import Options, World
@@ -57,10 +53,8 @@ def run(context: StageContext, config: RoundsConfig) -> Summary:
     found, rounds = run_rounds(world, detected, context.progress)
     context.write(ROUND_DETECTIONS, found)
     context.write(ROUNDS, rounds)
-    first, last = rounds.rounds[0], rounds.rounds[rounds.kept]
-    return {
-        "rounds": len(rounds.rounds) - 1,
-        "kept": rounds.kept,
-        "reason": rounds.reason,
-        "agreement": {"before": first.agreement.model_dump(), "after": last.agreement.model_dump()},
-    }
+    said = {"rounds": max(len(rounds.rounds) - 1, 0), "kept": rounds.kept, "reason": rounds.reason}
+    if rounds.rounds:
+        first, last = rounds.rounds[0], rounds.rounds[rounds.kept]
+        said["agreement"] = {"before": first.agreement.model_dump(), "after": last.agreement.model_dump()}
+    return said

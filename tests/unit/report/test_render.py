@@ -151,7 +151,11 @@ def test_without_labels_there_is_no_accuracy_but_agreement(page):
 def test_rounds_are_shown_where_there_were_any(page):
     assert "What each round found" in page and "1 (kept)" in page
     assert page.index("27 %") < page.index("83 %")
-    assert "What each round found" not in text_alone(rounds=Rounds(rounds=[], kept=0, reason="no round was asked for"))
+    none = text_alone(rounds=Rounds(rounds=[], kept=0, reason="rounds are switched off"))
+    assert "What each round found" not in none and "overlooked:" not in none
+    (first, _) = report_data(labels=False).rounds.rounds
+    judged = text_alone(rounds=Rounds(rounds=[first], kept=0, reason="cameras have boxes of 95 % of them"))
+    assert "What each round found" not in judged and "overlooked: cameras have boxes of 95 % of them" in judged
 
 
 def test_the_bold_figures_are_the_fine_tuned_networks(page):

@@ -16,15 +16,17 @@ from wibam_core.networks.registry import load_to_detect
 from wibam_core.progress import silent
 from wibam_core.rounds import rounds
 from wibam_core.rounds.agreement import held_out_agreement
-from wibam_core.rounds.rounds import run_rounds, settled
+from wibam_core.rounds.rounds import run_rounds
+from wibam_core.rounds.settled import judging, settled, teaching_fits
 from wibam_core.rounds.world import Detected, Options, World
 from wibam_core.scene import Boxes2D, CameraRig, FrameKey
 
 SHORT = DatasetConfig(rate_hz=6.25, train_share=0.5, val_share=0.3, gap_s=0.2)
 
 
-def options(most: int = 3) -> Options:
-    return Options(RoundsConfig(most=most, steps=2), DetectConfig(), AssociateConfig(), SHORT, LiftConfig())
+def options(most: int = 3, enough: float = 1.0) -> Options:
+    asked = RoundsConfig(most=most, enough=enough, steps=2)
+    return Options(asked, DetectConfig(), AssociateConfig(), SHORT, LiftConfig())
 
 
 def some(boxes: Boxes2D, rows: np.ndarray) -> Boxes2D:
@@ -52,9 +54,9 @@ def finding(monkeypatch: pytest.MonkeyPatch, *found: Detected) -> list[int]:
     """Networks that find these, one a round; says how many vehicles taught each."""
     left, taught = list(found), []
 
-    def teach(world: World, state: rounds.Settled, number: int, progress: object) -> tuple[object, int]:
+    def teach(world: World, state: rounds.Settled, number: int, progress: object) -> rounds._Taught:
         taught.append(number)
-        return object(), sum(map(len, state.fits))
+        return rounds._Taught(None, 7, 70)  # type: ignore[arg-type]
 
     monkeypatch.setattr(rounds, "_taught", teach)
     monkeypatch.setattr(rounds, "_found_again", lambda world, detected, network, progress: left.pop(0))
@@ -65,7 +67,7 @@ def test_a_round_that_finds_more_is_kept_and_one_that_finds_no_more_is_the_last(
     everything: tuple[World, dict[FrameKey, Boxes2D]], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     world, detected = everything
-    few, more = overlooking(detected, 0.6), overlooking(detected, 0.2)
+    few, more = overlooking(detected, 0.3), overlooking(detected, 0.2)
     taught = finding(monkeypatch, more, more, detected)
     found, document = run_rounds(world, few)
     assert taught == [1, 2] and document.kept == 2 and "no further" in document.reason
@@ -73,7 +75,7 @@ def test_a_round_that_finds_more_is_kept_and_one_that_finds_no_more_is_the_last(
     first, second, third = (one.agreement for one in document.rounds)
     assert second.an_instant > 1.2 * first.an_instant
     assert third.an_instant == second.an_instant  # the same boxes
-    assert document.rounds[1].fits > document.rounds[0].fits
+    assert [one.taught_vehicles for one in document.rounds] == [None, 7, 7, 7][: len(document.rounds)]
     assert sum(len(boxes.boxes) for boxes in found.values()) > sum(len(boxes.boxes) for boxes in few.values())
 
 
@@ -89,15 +91,86 @@ def test_what_agrees_less_is_not_kept(
     assert all(np.array_equal(found[frame].boxes, detected[frame].boxes) for frame in detected)
 
 
-def test_a_round_whose_agreement_cannot_be_told_is_not_kept(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_two_cameras_cannot_judge_each_other(monkeypatch: pytest.MonkeyPatch) -> None:
     rig = {camera_id: camera for camera_id, camera in crossing().rig.items() if camera_id in ("cam1", "cam2")}
     world = World(CameraRig(rig), {}, None, [], {}, Path(), options(), Path())  # type: ignore[arg-type]
-    agreement = held_out_agreement([], world.rig, LiftConfig())
-    state = rounds.Settled({}, [], None, [], agreement)  # type: ignore[arg-type]
-    monkeypatch.setattr(rounds, "settled", lambda *args, **others: state)
     taught = finding(monkeypatch, {})
     _, document = run_rounds(world, {})
-    assert taught == [1] and document.kept == 0 and "cannot be told" in document.reason
+    assert taught == [] and document.kept == 0 and "three cameras" in document.reason
+
+
+def test_where_no_vehicle_can_be_judged_nothing_is_taught(
+    everything: tuple[World, dict[FrameKey, Boxes2D]], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    world, detected = everything
+    blind = {
+        frame: boxes if frame.camera_id == "cam1" else some(boxes, np.empty(0, np.int64))
+        for frame, boxes in detected.items()
+    }
+    taught = finding(monkeypatch, detected)
+    found, document = run_rounds(world, blind)
+    assert taught == [] and document.kept == 0 and "cannot be told" in document.reason
+    assert sum(len(boxes.boxes) for boxes in found.values()) == sum(len(boxes.boxes) for boxes in blind.values())
+
+
+def test_a_round_is_run_where_much_is_overlooked_and_none_where_little_is(
+    everything: tuple[World, dict[FrameKey, Boxes2D]], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    world, detected = everything
+    world = replace(world, options=options(enough=RoundsConfig().enough))
+    for share, expected in ((0.0, []), (0.3, [1])):
+        taught = finding(monkeypatch, detected)
+        _, document = run_rounds(world, overlooking(detected, share))
+        assert taught == expected and "which is enough" in document.reason
+        assert document.kept == len(expected)
+
+
+def test_footage_that_is_too_short_is_left_to_the_stages_after(
+    everything: tuple[World, dict[FrameKey, Boxes2D]], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    world, detected = everything
+    taught = finding(monkeypatch, detected)
+    found, document = run_rounds(replace(world, instants=world.instants[:6]), detected)
+    assert taught == [] and document.rounds == [] and document.reason
+    assert found.keys() == detected.keys()
+
+
+def test_what_the_test_part_shows_changes_neither_what_teaches_nor_what_judges(
+    everything: tuple[World, dict[FrameKey, Boxes2D]],
+) -> None:
+    world, detected = everything
+    begin = settled(world, detected).split.times_ns["test"][0]
+    test_part = {one.time_ns for one in world.instants if one.time_ns >= begin}
+    # others drive there than those that are seen before
+    other = {
+        frame: boxes._replace(boxes=boxes.boxes[:, [0, 1, 2, 3]] + [40.0, 15.0, 40.0, 15.0])
+        if frame.local_ns in test_part
+        else boxes
+        for frame, boxes in detected.items()
+    }
+    one, two = (settled(world, of, of_detector=of) for of in (detected, other))
+    assert one.agreement == two.agreement and one.agreement.sightings > 20
+    fits = [teaching_fits(world, state) for state in (one, two)]
+    assert sum(map(len, fits[0])) > 5
+    for first, second in zip(*fits, strict=True):
+        assert first.time_ns == second.time_ns <= one.split.times_ns["train"][-1]
+        assert np.array_equal(first.boxes, second.boxes) and np.array_equal(first.ids, second.ids)
+
+
+def test_vehicles_that_teach_are_not_judged(everything: tuple[World, dict[FrameKey, Boxes2D]]) -> None:
+    world, detected = everything
+    state = settled(world, detected)
+    judges = judging(state.before, state.split)
+    assert judges[0].time_ns > state.split.times_ns["train"][-1]
+    left = sorted({v.track_id for instant in judges for v in instant.vehicles if len(v.views) > 2})
+    everyone = held_out_agreement(judges, world.rig, LiftConfig())
+    some_taught = held_out_agreement(judges, world.rig, LiftConfig(), taught=frozenset(left[:1]))
+    assert 0 < some_taught.sightings < everyone.sightings
+    # whoever is there in the training part and after it is left out of one of the two
+    teaching = {track for fits in teaching_fits(world, state) for track in fits.ids.tolist()}
+    validating = set(state.split.times_ns["val"])
+    later = {v.track_id for instant in state.before if instant.time_ns in validating for v in instant.vehicles}
+    assert teaching and later and not teaching & later
 
 
 def test_no_more_rounds_than_asked_for(
@@ -105,7 +178,7 @@ def test_no_more_rounds_than_asked_for(
 ) -> None:
     world, detected = everything
     taught = finding(monkeypatch, overlooking(detected, 0.2))
-    _, document = run_rounds(replace(world, options=options(most=1)), overlooking(detected, 0.6))
+    _, document = run_rounds(replace(world, options=options(most=1)), overlooking(detected, 0.3))
     assert taught == [1] and document.kept == 1 and "as many" in document.reason
 
 
@@ -150,7 +223,7 @@ def test_a_round_teaches_and_looks_again_in_all_frames(tmp_path: Path) -> None:
     assert found.keys() == detected.keys() and [one.number for one in document.rounds] == [0, 1]
     assert (document.rounds[1].taught_vehicles or 0) > 0
     # a network that two steps taught sees nothing in grey images: what the detector found is looked at a second time
-    looked = rounds.settled(world, rounds._found_again(world, detected, load_to_detect(world.start), silent))
+    looked = settled(world, rounds._found_again(world, detected, load_to_detect(world.start), silent))
     assert looked.detected.keys() == detected.keys()
     for frame, boxes in looked.detected.items():
         assert len(boxes.boxes) <= len(detected[frame].boxes) + 2

@@ -1,4 +1,4 @@
-"""The stage: boxes pass as they are unless rounds are asked for, and else those of the round that is kept."""
+"""The stage: boxes pass as they are where no round is needed, and else those of the round that is kept are written."""
 
 import json
 from pathlib import Path
@@ -50,18 +50,29 @@ def count(found: dict[FrameKey, Boxes2D]) -> int:
     return sum(len(boxes.boxes) for boxes in found.values())
 
 
-def test_boxes_pass_unless_rounds_are_asked_for(folders: StageFolders) -> None:
-    assert run(folders, RoundsConfig()) == {"rounds": 0, "kept": 0}
+def test_boxes_pass_where_rounds_are_switched_off(folders: StageFolders) -> None:
+    assert run(folders, RoundsConfig(most=0)) == {"rounds": 0, "kept": 0}
     given, passed = folders.read(catalogue.DETECTIONS), folders.read(catalogue.ROUND_DETECTIONS)
     assert given.keys() == passed.keys() and count(given) == count(passed) > 100
     assert folders.read(catalogue.ROUNDS).rounds == []
+
+
+def test_boxes_pass_where_the_detector_finds_nearly_everything(folders: StageFolders) -> None:
+    _, everything = by_frame(crossing().unassociated[::4])
+    folders.give(catalogue.DETECTIONS, everything)
+    summary = run(folders, RoundsConfig())
+    json.dumps(summary)
+    assert (summary["rounds"], summary["kept"]) == (0, 0)
+    (judged,) = folders.read(catalogue.ROUNDS).rounds
+    assert (judged.agreement.found or 0) > 0.9
+    assert count(folders.read(catalogue.ROUND_DETECTIONS)) == count(everything)
 
 
 def test_the_boxes_of_the_round_that_is_kept_are_written(
     folders: StageFolders, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     _, everything = by_frame(crossing().unassociated[::4])
-    monkeypatch.setattr(rounds, "_taught", lambda world, state, number, progress: (object(), 7))
+    monkeypatch.setattr(rounds, "_taught", lambda world, state, number, progress: rounds._Taught(None, 7, 70))
     monkeypatch.setattr(rounds, "_found_again", lambda world, detected, network, progress: everything)
     summary = run(folders, RoundsConfig(most=1))
     assert (summary["rounds"], summary["kept"]) == (1, 1)
@@ -77,7 +88,6 @@ def test_what_a_round_goes_through_matters_only_where_there_is_one() -> None:
         inputs = InputDigests({"cam1": "a", "cam2": "b", "cam3": "c", "cam4": "d"}, {})
         return {one.name: one.hash for one in plan(site_of(), PipelineConfig.parse(options), inputs)}
 
-    lift = {"lift": {"iterations": 20}}
-    assert hashes()["rounds"] == hashes(**lift)["rounds"]
-    asked = {"rounds": {"most": 1}}
-    assert hashes(**asked)["rounds"] not in (hashes()["rounds"], hashes(**asked, **lift)["rounds"])
+    lift, never = {"lift": {"iterations": 20}}, {"rounds": {"most": 0}}
+    assert hashes(**never)["rounds"] == hashes(**never, **lift)["rounds"]
+    assert hashes()["rounds"] not in (hashes(**never)["rounds"], hashes(**lift)["rounds"])
