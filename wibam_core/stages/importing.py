@@ -24,6 +24,7 @@ from wibam_core.detection.instants import by_frame
 from wibam_core.detection.statistics import detection_statistics
 from wibam_core.documents.recordings import Limits, Probe, VideoInfo
 from wibam_core.documents.refinement import Refinement
+from wibam_core.documents.rounds import Rounds
 from wibam_core.documents.split import SUBSETS, Split
 from wibam_core.documents.synchronisation import Synchronisation
 from wibam_core.errors import InputError
