@@ -25,6 +25,7 @@ from api.routes import (
     jobs,
     labels,
     looks,
+    maps,
     models,
     results,
     reviews,
@@ -98,6 +99,8 @@ def create_app(settings: ServiceSettings) -> FastAPI:
     for router in (
         sites.router,
         looks.router,
+        maps.router,
+        maps.job_router,
         looks.calibration_router,
         uploads.router,
         jobs.router,

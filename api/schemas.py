@@ -10,9 +10,11 @@ from pydantic import BaseModel, ConfigDict, Field, JsonValue
 from api.times import to_time
 from wibam_core.adapters.machine import this_machine
 from wibam_core.adapters.results import ResultFile
+from wibam_core.adapters.site_maps import KeptMap
 from wibam_core.config import PipelineConfig
 from wibam_core.costs import Pace
 from wibam_core.documents.recordings import VideoInfo
+from wibam_core.documents.site_map import SiteMap
 from wibam_core.documents.warnings import StageWarning
 from wibam_core.job_kind import JobKind
 from wibam_core.jobs.estimate import job_fraction, pace_of, remaining_s, stage_remaining_s
@@ -30,6 +32,17 @@ def _time_or_none(seconds: float | None) -> datetime | None:
     return None if seconds is None else _time(seconds)
 
 
+class MapOut(BaseModel):
+    """A site's picture from above; its own address gives the picture."""
+
+    map: SiteMap
+    version: str = Field(description="changes with the picture and with its place")
+
+    @classmethod
+    def of(cls, kept: KeptMap | None) -> MapOut | None:
+        return None if kept is None else cls(map=kept.map, version=kept.version)
+
+
 class SiteOut(BaseModel):
     """A site, as it was described."""
 
@@ -38,15 +51,17 @@ class SiteOut(BaseModel):
     cameras: list[str] = Field(description="camera ids; the first is the reference", examples=[["north", "south"]])
     created_at: datetime
     site: Site
+    map: MapOut | None = Field(None, description="its picture from above, where it has one; lists leave it out")
 
     @classmethod
-    def of(cls, record: SiteRecord) -> SiteOut:
+    def of(cls, record: SiteRecord, kept: KeptMap | None = None) -> SiteOut:
         return cls(
             id=record.id,
             name=record.site.name,
             cameras=list(record.site.camera_ids),
             created_at=_time(record.created_at),
             site=record.site,
+            map=MapOut.of(kept),
         )
 
 

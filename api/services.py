@@ -29,6 +29,7 @@ from wibam_core.adapters.reuse import Reuse
 from wibam_core.adapters.review_store import ReviewStore
 from wibam_core.adapters.runs import Runs
 from wibam_core.adapters.settings import ServiceSettings
+from wibam_core.adapters.site_maps import SiteMaps
 from wibam_core.adapters.site_store import SiteStore
 from wibam_core.adapters.site_tracks import SiteTracks
 from wibam_core.adapters.uploads import UploadService
@@ -63,6 +64,7 @@ class Services:
     keeper: ModelKeeper
     runs: Runs
     site_tracks: SiteTracks
+    maps: SiteMaps
 
     @classmethod
     def connect(cls, settings: ServiceSettings) -> Services:
@@ -101,6 +103,7 @@ class Services:
             keeper=ModelKeeper(models, jobs, sites, results, folder, glimpses),
             runs=Runs(models, jobs, sites, folder, stages),
             site_tracks=SiteTracks(database, jobs, results, folder),
+            maps=SiteMaps(database, sites, folder, glimpses),
         )
 
 

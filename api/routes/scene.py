@@ -11,6 +11,7 @@ from pydantic import BaseModel, Field
 
 from api.parameters import ONLY_KNOWN_PARAMETERS
 from api.problems import documented
+from api.schemas import MapOut
 from api.services import ServicesDep
 from wibam_core.adapters.findings import findings
 from wibam_core.artifacts import catalogue
@@ -61,6 +62,7 @@ class SceneOut(BaseModel):
     cameras: list[SceneCameraOut]
     classes: list[SceneClassOut]
     origin: Origin | None
+    map: MapOut | None = Field(description="the site's picture from above; `/map` of the job is the picture")
 
 
 class InstantsOut(BaseModel):
@@ -114,6 +116,7 @@ def scene(job_id: str, services: ServicesDep) -> SceneOut:
             for item in CLASSES
         ],
         origin=job.site.origin,
+        map=MapOut.of(services.maps.find(job.site_id)),
     )
 
 

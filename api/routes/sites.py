@@ -37,7 +37,7 @@ def list_sites(services: ServicesDep, page: PageDep, made: MadeDep, text: Text =
 
 @router.get("/{site_id}", summary="Look at a site", responses=documented(404))
 def get(site_id: str, services: ServicesDep) -> SiteOut:
-    return SiteOut.of(services.sites.site(site_id))
+    return SiteOut.of(services.sites.site(site_id), services.maps.find(site_id))
 
 
 @router.put("/{site_id}", summary="Describe a site anew", responses=documented(404, 413, 422))
@@ -49,7 +49,7 @@ def replace(site_id: str, site: Site, services: ServicesDep) -> SiteOut:
     one. It reuses the stages that the change does not touch.
     """
     site.check()
-    return SiteOut.of(services.sites.replace_site(site_id, site))
+    return SiteOut.of(services.sites.replace_site(site_id, site), services.maps.find(site_id))
 
 
 @router.delete("/{site_id}", status_code=204, summary="Delete a site", responses=documented(404, 409))

@@ -78,8 +78,8 @@ async def create(
         str,
         Header(
             description="`key base64,key base64`: `site` (id), `purpose` (recording, footage, labels, detector, "
-            "network or model), `camera` (of a recording or footage), `started_at` (of these: when the first frame was "
-            "taken, ISO 8601 with its offset from UTC), `filename` (for showing; of a camera whose "
+            "network, model or map), `camera` (of a recording or footage), `started_at` (of these: when the first "
+            "frame was taken, ISO 8601 with its offset from UTC), `filename` (for showing; of a camera whose "
             "recordings the site lists, one of these names)"
         ),
     ],

@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from PIL import Image
 
 from tests.browser.conftest import Visit
 from tests.builders import look_at
@@ -209,3 +210,28 @@ def test_a_wrong_point_is_marked_and_bad_numbers_are_named(signed_in: Visit, cam
     page.get_by_label(re.compile("^Lines of u, v")).fill("1, 2, 3, 4, 5\n1, 2, east")
     page.get_by_role("button", name="Take these").click()
     page.get_by_text("Line 2 has something that is no number").wait_for()
+
+
+def test_a_map_is_placed_by_two_points_and_stays_beneath_the_plan(
+    signed_in: Visit, api: LiveApi, tmp_path: Path
+) -> None:
+    site = api.site()
+    Image.new("RGB", (300, 200), (200, 30, 30)).save(tmp_path / "from above.png")
+    page = signed_in.open(f"/sites/{site}/cameras/cam1")
+    page.locator("#map-file").set_input_files(tmp_path / "from above.png")
+    page.get_by_text("from above.png has no place yet").wait_for()
+    page.get_by_role("button", name="Place it by two points").click()
+    plan = page.locator("#plan")
+    for x in (300, 500):
+        plan.click(position={"x": x, "y": 200})
+    page.get_by_label("Distance in m").fill("20")
+    page.keyboard.press("Enter")
+    page.get_by_text("from above.png is placed by two points").wait_for()
+    placing = np.array(api.http.get(f"/v1/sites/{site}").json()["map"]["map"]["placing"])
+    assert placing[0, 1] == pytest.approx(0, abs=1e-9) and placing[1, 1] == pytest.approx(-placing[0, 0])
+    page.reload()
+    page.get_by_text("from above.png is placed by two points").wait_for()
+    middle = "at => [...document.getElementById('plan').getContext('2d').getImageData(...at, 1, 1).data]"
+    page.wait_for_function(f"at => ({middle})(at)[0] > 150", arg=[450, 260])
+    page.get_by_role("button", name="Take the map away").click()
+    page.get_by_text("The map is gone").wait_for()

@@ -2,7 +2,7 @@
 
 An uploaded file is not to be trusted, so that a process of its own opens it, confined and for a few seconds. On
 standard output come a line of JSON, ``{"header": ...}`` or ``{"error": ...}`` (`WibamError.to_dict`), and then a file:
-a JPEG where a frame was asked for, ONNX where a network.
+a JPEG where a frame or a map was asked for, ONNX where a network.
 """
 
 from __future__ import annotations
@@ -21,6 +21,8 @@ from wibam_core.formats.model_card import read_card
 from wibam_core.video.seeking import frames_from, read_header
 
 Image = NDArray[np.uint8]
+#: A browser shows it, and 100 m are drawn at 2.5 cm a pixel.
+_LONGEST_MAP_PX = 4096
 
 
 def main(request: GlimpseRequest) -> tuple[dict[str, object], bytes]:
@@ -31,6 +33,8 @@ def main(request: GlimpseRequest) -> tuple[dict[str, object], bytes]:
     """
     if request.look == "network":
         return _network(request)
+    if request.look == "map":
+        return _map(request)
     if request.look == "header":
         header = read_header(request.path)
         return dict(vars(header)), b""
@@ -48,6 +52,17 @@ def _network(request: GlimpseRequest) -> tuple[dict[str, object], bytes]:
 
     network = load_network(request.path)
     return {"card": network.card.model_dump(mode="json")}, network.onnx() or b""
+
+
+def _map(request: GlimpseRequest) -> tuple[dict[str, object], bytes]:
+    """A picture from above, and where its file says that it lies."""
+    from wibam_core.formats.map_pictures import read_map_picture
+
+    found = read_map_picture(request.path, _LONGEST_MAP_PX)
+    height, width = found.image.shape[:2]
+    affine = None if found.affine is None else found.affine.tolist()
+    header = {"width_px": width, "height_px": height, "affine": affine, "epsg": found.epsg, "sent_px": found.sent_px}
+    return header, _jpeg(np.ascontiguousarray(found.image[..., ::-1]))
 
 
 def _signals(request: GlimpseRequest) -> dict[str, object]:

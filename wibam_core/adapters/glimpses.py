@@ -15,7 +15,7 @@ from pydantic import BaseModel, ConfigDict
 import wibam_core
 from wibam_core.adapters import confine
 from wibam_core.adapters.system_files import system_files
-from wibam_core.errors import InvalidWeights, ServiceUnavailable, UnreadableVideo, WibamError
+from wibam_core.errors import InputError, InvalidWeights, ServiceUnavailable, UnreadableVideo, WibamError
 from wibam_core.site import SignalRegion
 
 _INHERITED = ("PATH", "LANG", "LC_ALL", "TZ", "LD_LIBRARY_PATH", "VIRTUAL_ENV")
@@ -28,7 +28,8 @@ class GlimpseRequest(BaseModel):
     """What to look for.
 
     Attributes:
-        look: "header", the "frame" at a time, or the "signals" of a stretch; of a file of weights the "network".
+        look: "header", the "frame" at a time, or the "signals" of a stretch; of a file of weights the "network"; of a
+            picture from above the "map".
         path: of the file, the service's own.
         start_ns: on the recording's clock. duration_ns: of the stretch.
         width_px: the frame is no wider.
@@ -37,7 +38,7 @@ class GlimpseRequest(BaseModel):
 
     model_config = ConfigDict(extra="forbid", frozen=True)
 
-    look: Literal["header", "frame", "signals", "network"]
+    look: Literal["header", "frame", "signals", "network", "map"]
     path: Path
     start_ns: int = 0
     duration_ns: int = 0
@@ -82,6 +83,10 @@ class Glimpses:
         except ValueError:
             if request.look == "network":
                 raise InvalidWeights("the file could not be read as a network") from None
+            if request.look == "map":
+                raise InputError(
+                    "the picture could not be decoded", hint="Save it as PNG or JPEG, of the intersection alone."
+                ) from None
             raise UnreadableVideo(
                 "the recording could not be decoded", hint="Upload it again, or convert it to H.264."
             ) from None

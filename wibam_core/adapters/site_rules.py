@@ -6,9 +6,12 @@ from sqlalchemy import func, select, update
 from sqlalchemy.orm import Session
 
 from wibam_core.adapters.models import FileRow, UploadRow
-from wibam_core.errors import InputError, QuotaExceeded
+from wibam_core.errors import InputError, QuotaExceeded, TooLarge
 from wibam_core.jobs.records import Purpose
 from wibam_core.site import Site, SiteCamera
+
+#: A picture of an intersection at 5 cm a pixel has a few megabytes.
+LARGEST_MAP_BYTES = 100_000_000
 
 
 def check_camera(site: Site, purpose: Purpose, camera_id: str) -> None:
@@ -51,6 +54,14 @@ def retire_unlisted(session: Session, site_id: str, camera: SiteCamera, now: flo
     elif (session.scalar(select(func.count()).select_from(FileRow).where(current)) or 0) < 2:
         return
     session.execute(update(FileRow).where(current).values(retired_at=now))
+
+
+def check_size(purpose: Purpose, length: int) -> None:
+    if purpose is Purpose.MAP and length > LARGEST_MAP_BYTES:
+        raise TooLarge(
+            f"the picture has {length / 1e6:.0f} MB; a map may have {LARGEST_MAP_BYTES / 1e6:.0f} MB",
+            hint="Cut out the intersection, or save it smaller; the world file of a cut-out keeps it in place.",
+        )
 
 
 def check_quota(session: Session, length: int, quota_bytes: int) -> None:

@@ -14,12 +14,21 @@ from wibam_core.adapters.counters import Counted, count
 from wibam_core.adapters.database import Database
 from wibam_core.adapters.models import FileRow, JobFileRow, JobRow, SiteRow, UploadRow
 from wibam_core.adapters.paging import EVER, Place, Span, newest_first
-from wibam_core.adapters.site_rules import camera_of, check_camera, check_listed, check_quota, retire_unlisted
+from wibam_core.adapters.site_rules import (
+    camera_of,
+    check_camera,
+    check_listed,
+    check_quota,
+    check_size,
+    retire_unlisted,
+)
 from wibam_core.errors import Conflict, InputError, NotFound
 from wibam_core.jobs.records import Purpose, SiteRecord, StoredFile, Upload
 from wibam_core.jobs.states import JobState
 from wibam_core.site import Site
 
+#: Files that networks are run on, that become networks, and pictures of the site.
+_NOT_FOR_JOBS = (Purpose.FOOTAGE, Purpose.MODEL, Purpose.MAP)
 _TERMINAL = [state.value for state in JobState if state.is_terminal]
 Clock = Callable[[], float]
 
@@ -142,7 +151,7 @@ class SiteStore:
         Raises:
             NotFound: there is no such site.
         """
-        return [file for file in self.all_files(site_id) if file.purpose not in (Purpose.FOOTAGE, Purpose.MODEL)]
+        return [file for file in self.all_files(site_id) if file.purpose not in _NOT_FOR_JOBS]
 
     def footage(self, site_id: str) -> list[StoredFile]:
         """All footage of a site's cameras that networks can be run on, the recordings included, by camera and name.
@@ -221,6 +230,7 @@ class SiteStore:
             NotFound: there is no such site.
             InputError: the site has no such camera, or the purpose takes none.
             QuotaExceeded: too much is stored already.
+            TooLarge: no file for this purpose is so large.
         """
         now = self._now()
         upload = Upload(
@@ -240,6 +250,7 @@ class SiteStore:
             check_camera(site, request.purpose, request.camera_id)
             if request.purpose is Purpose.RECORDING:
                 check_listed(camera_of(site, request.camera_id), upload.filename)
+            check_size(request.purpose, request.length)
             check_quota(session, request.length, quota_bytes)
             session.add(
                 UploadRow(

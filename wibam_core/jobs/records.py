@@ -27,6 +27,7 @@ class Purpose(StrEnum):
     DETECTOR = "detector"
     NETWORK = "network"
     MODEL = "model"
+    MAP = "map"
 
     @property
     def is_of_camera(self) -> bool:

@@ -150,13 +150,3 @@ export class FrameView {
     });
   }
 }
-
-/** Load a picture. @param {string} url @returns {Promise<HTMLImageElement>} */
-export function loadImage(url) {
-  return new Promise((resolve, reject) => {
-    const image = new Image();
-    image.addEventListener("load", () => resolve(image));
-    image.addEventListener("error", () => reject(new Error("the picture could not be loaded")));
-    image.src = url;
-  });
-}

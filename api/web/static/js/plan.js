@@ -24,6 +24,8 @@ export class Plan {
     this.ondrag = () => {};
     /** @type {(point: number[], event: PointerEvent) => void} */
     this.onup = () => {};
+    /** Beneath everything. @type {import("./maplayer.js").MapLayer|null} */
+    this.map = null;
     this.pending = false;
     this.#listen();
     new ResizeObserver(() => this.redraw()).observe(canvas);
@@ -66,6 +68,7 @@ export class Plan {
     if (!context) return;
     context.fillStyle = token("--sheet");
     context.fillRect(0, 0, this.canvas.width, this.canvas.height);
+    this.map?.draw(this, context);
     this.#grid(context);
     this.content(this, context);
     this.#scale(context);

@@ -37,6 +37,7 @@ export class Upload {
     this.file = file;
     this.target = target;
     this.offset = 0;
+    this.url = "";
     /** @type {"waiting"|"sending"|"paused"|"done"|"failed"} */
     this.state = "waiting";
     this.error = /** @type {any} */ (null);
@@ -61,7 +62,7 @@ export class Upload {
     let tries = 0;
     for (;;) {
       try {
-        const url = await this.#address();
+        const url = (this.url = await this.#address());
         while (this.offset < this.file.size) {
           await this.#piece(url);
           tries = 0;

@@ -31,7 +31,7 @@ const plan = new Plan(byId("plan"), (ground, context) => {
   map.draw(context);
   if (panel) drawOnPlan(ground, context, panel);
 });
-const map = new MapPicture(plan);
+const map = new MapPicture(plan, siteId);
 
 /** @param {CanvasRenderingContext2D} context @param {number[]} region @param {string} colour @param {string} name */
 function outline(context, [x, y, width, height], colour, name) {
@@ -149,6 +149,7 @@ async function start() {
   byId("back").href = `/sites/${siteId}`;
   byId("name").textContent = `Camera ${cameraId}`;
   if (!description) { fill(byId("solution"), message("bad", `the site has no camera ${cameraId} any more`, "Go back to the site.")); return; }
+  attempt(() => map.show(record.map));
   const files = await getAll(`/v1/sites/${siteId}/recordings`);
   const file = files.find((/** @type {any} */ one) => one.purpose === "recording" && one.camera === cameraId);
   recording = file ? `/v1/sites/${siteId}/recordings/${file.id}` : null;

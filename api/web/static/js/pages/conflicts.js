@@ -5,6 +5,7 @@ import { clock, number, percent, words } from "../format.js";
 import { figure, plot } from "../chart.js";
 import { drawHeat } from "../heatmap.js";
 import { jobId, readOnly, showTabs, showTitle } from "../jobtabs.js";
+import { layMap } from "../maplayer.js";
 import { cameraColour, drawCamera, Plan, token } from "../plan.js";
 import { Camera } from "../projection.js";
 
@@ -106,6 +107,7 @@ attempt(async () => {
   const [said, scene] = await Promise.all([getAll(`/v1/jobs/${jobId}/conflicts/reviews`), made.scene()]);
   for (const review of said) reviews.set(review.conflict_id, review);
   cameras = (scene?.cameras ?? []).map((/** @type {any} */ camera) => new Camera(camera));
+  if (scene) attempt(() => layMap(plan, `/v1/jobs/${jobId}/map?version=${scene.map?.version}`, scene.map));
   for (const type of new Set(conflicts.map((one) => one.type))) byId("type").append(h("option", { value: type }, words(type)));
   for (const name of new Set(conflicts.flatMap((one) => one.classes))) byId("class").append(h("option", null, name));
   byId("csv").href = `/v1/jobs/${jobId}/conflicts?format=csv&reviews=true`;

@@ -5,6 +5,7 @@ import { clock, number } from "../format.js";
 import { FrameCache } from "../frames.js";
 import { drawInstantPlan, drawInstantView } from "../instantdraw.js";
 import { jobId, showTabs, showTitle } from "../jobtabs.js";
+import { layMap } from "../maplayer.js";
 import { groundInView, Plan } from "../plan.js";
 import { Camera } from "../projection.js";
 import { table } from "../resulttables.js";
@@ -129,6 +130,7 @@ attempt(async () => {
   byId("time").max = times.length - 1;
   byId("test").hidden = !split.times_ns.test?.length;
   plan.fit(cameras.flatMap((camera) => [camera.centre, ...groundInView(camera, 35)]), 0.03);
+  attempt(() => layMap(plan, `/v1/jobs/${jobId}/map?version=${found.map?.version}`, found.map));
   listen();
   const wanted = Number(new URLSearchParams(location.search).get("time_ns"));
   await show(wanted ? Math.max(times.findIndex((time) => time >= wanted), 0) : 0);

@@ -5,6 +5,7 @@ import { clock, duration, number, percent } from "../format.js";
 import { FrameCache } from "../frames.js";
 import { FrameView } from "../frameview.js";
 import { jobId, readOnly, showTabs, showTitle } from "../jobtabs.js";
+import { layMap } from "../maplayer.js";
 import { drawCuboids, drawVehicles, gripInPlan, gripInView } from "../labeldraw.js";
 import { boxAfterKey, boxAfterWheel } from "../labelkeys.js";
 import { grounded, heading, later, Model } from "../labelmodel.js";
@@ -380,6 +381,7 @@ async function start() {
   }));
   makePanel({ classes: classes.map((one) => one.name), cameras: cameras.map((camera) => camera.id), update: (change, of) => { timer.act(model.chosen); model.update(change, of); }, current: () => model.current });
   plan.fit(cameras.flatMap((camera) => groundInView(camera, 40)), 0.03);
+  attempt(() => layMap(plan, `/v1/jobs/${jobId}/map?version=${scene.map?.version}`, scene.map));
   listen();
   await loadList();
   await open(timeNs);

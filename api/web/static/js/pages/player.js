@@ -5,6 +5,7 @@ import { clock, number, percent, words } from "../format.js";
 import { ClipPanel } from "../clippanel.js";
 import { FrameCache } from "../frames.js";
 import { jobId, showTabs, showTitle } from "../jobtabs.js";
+import { layMap } from "../maplayer.js";
 import { groundInView, Plan } from "../plan.js";
 import { colourOf, drawFrame, drawRoad } from "../playerdraw.js";
 import { Camera, footprint } from "../projection.js";
@@ -274,6 +275,7 @@ async function start() {
   byId("time").max = Math.max(tracks.times.length - 1, 0);
   const places = [...tracks.byTrack.values()].flat().map((state) => [state.x_m, state.y_m]);
   plan.fit(places.length ? [...places, ...cameras.map((camera) => camera.centre)] : cameras.flatMap((camera) => groundInView(camera)), 0.03);
+  attempt(() => layMap(plan, `/v1/jobs/${jobId}/map?version=${scene.map?.version}`, scene.map));
   showMarks();
   listen();
   showQuery();

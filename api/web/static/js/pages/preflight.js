@@ -5,6 +5,7 @@ import { Coverage } from "../coverage.js";
 import { attempt, byId, fill, h, message } from "../dom.js";
 import { duration, number, percent, size } from "../format.js";
 import { jobId, showTabs, showTitle } from "../jobtabs.js";
+import { layMap } from "../maplayer.js";
 import { cameraColour, drawCamera, groundInView, Plan } from "../plan.js";
 import { Camera } from "../projection.js";
 import { table } from "../resulttables.js";
@@ -72,12 +73,13 @@ function showClocks(probe, clocks) {
     }));
 }
 
-/** @param {Camera[]} cameras @param {any} residuals */
-function showViews(cameras, residuals) {
+/** @param {any} scene @param {any} residuals */
+function showViews(scene, residuals) {
+  const cameras = scene.cameras.map((/** @type {any} */ camera) => new Camera(camera));
   const coverage = new Coverage(cameras);
   const plan = new Plan(byId("plan"), (view, context) => {
     coverage.draw(view, context);
-    cameras.forEach((camera, index) => {
+    cameras.forEach((/** @type {Camera} */ camera, /** @type {number} */ index) => {
       view.trace(context, groundInView(camera), true);
       context.strokeStyle = cameraColour(index);
       context.lineWidth = 1.4;
@@ -85,7 +87,8 @@ function showViews(cameras, residuals) {
       drawCamera(view, context, camera, cameraColour(index));
     });
   });
-  plan.fit(cameras.flatMap((camera) => [camera.centre, ...groundInView(camera)]));
+  plan.fit(cameras.flatMap((/** @type {Camera} */ camera) => [camera.centre, ...groundInView(camera)]));
+  attempt(() => layMap(plan, `/v1/jobs/${jobId}/map?version=${scene.map?.version}`, scene.map));
   fill(byId("view-key"), coverage.key.map(({ name, colour }) => {
     const swatch = h("span.swatch", null);
     swatch.style.background = colour;
@@ -110,5 +113,5 @@ attempt(async () => {
   const [probe, clocks, residuals, scene] = await Promise.all([made.document("probe"), made.document("clocks"), made.document("residuals"), made.scene()]);
   if (probe) { showRecordings(job, probe); showClocks(probe, clocks); }
   byId("known").hidden = !probe;
-  if (scene) showViews(scene.cameras.map((/** @type {any} */ camera) => new Camera(camera)), residuals);
+  if (scene) showViews(scene, residuals);
 });

@@ -2,6 +2,7 @@
 import { get, getAll, Problem, query, send } from "../api.js";
 import { ask, attempt, byId, fill, h, message, say, sentence } from "../dom.js";
 import { duration, percent, size, when } from "../format.js";
+import { layMap } from "../maplayer.js";
 import { cameraColour, drawView, groundInView, Plan } from "../plan.js";
 import { Camera } from "../projection.js";
 import { recordingName } from "../chapters.js";
@@ -83,6 +84,7 @@ async function solveAll() {
 function showPlan() {
   const cameras = [...solved.values()].flatMap((state) => (state.camera ? [state.camera] : []));
   plan.fit(cameras.flatMap((camera) => [camera.centre, ...groundInView(camera)]));
+  attempt(() => layMap(plan, `/v1/sites/${siteId}/map?version=${record.map?.version}`, record.map));
   const rest = record.site.cameras.filter((/** @type {any} */ camera) => !solved.get(camera.id)?.camera).map((/** @type {any} */ camera) => camera.id);
   const alone = cameras.length > 1 ? cameras.filter((one) => !cameras.some((other) => other !== one && overlaps(one, other))).map((camera) => camera.id) : [];
   fill(byId("overlap"),

@@ -1,0 +1,185 @@
+"""A picture of each site from above: decoded once, in a confined process, and kept as our own JPEG with its place."""
+
+from __future__ import annotations
+
+import contextlib
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+
+from wibam_core.adapters.database import Database
+from wibam_core.adapters.files import DataFolder
+from wibam_core.adapters.glimpses import GlimpseRequest, Glimpses
+from wibam_core.adapters.models import SiteMapRow
+from wibam_core.adapters.site_store import SiteStore
+from wibam_core.documents.site_map import PlacedBy, Placing, SiteMap
+from wibam_core.errors import InputError, NotFound
+from wibam_core.exchange.earth import Earth
+from wibam_core.formats.map_pictures import Affine, shrunk
+from wibam_core.jobs.records import Purpose, StoredFile
+from wibam_core.site import Origin
+
+
+@dataclass(frozen=True)
+class KeptMap:
+    """A site's map; ``version`` changes with the picture and with its place."""
+
+    map: SiteMap
+    version: str
+
+
+class SiteMaps:
+    """One picture a site.
+
+    Args:
+        database: migrated.
+        sites: whose uploads pictures come from.
+        folder: where these lie.
+        glimpses: decodes them.
+        now: Unix seconds.
+    """
+
+    def __init__(
+        self,
+        database: Database,
+        sites: SiteStore,
+        folder: DataFolder,
+        glimpses: Glimpses,
+        now: Callable[[], float] = time.time,
+    ) -> None:
+        self._database, self._sites, self._folder, self._glimpses, self._now = database, sites, folder, glimpses, now
+
+    def find(self, site_id: str) -> KeptMap | None:
+        """The site's map; None where it has none."""
+        with self._database.reading() as session:
+            row = session.get(SiteMapRow, site_id)
+            return None if row is None else _kept(row)
+
+    def picture(self, site_id: str) -> bytes:
+        """The picture, JPEG.
+
+        Raises:
+            NotFound: the site has no map.
+        """
+        with self._database.reading() as session:
+            row = session.get(SiteMapRow, site_id)
+            if row is None:
+                raise _nothing(site_id)
+            return row.picture
+
+    def take(self, file: StoredFile) -> KeptMap:
+        """An uploaded picture takes the place of the one that was there; the upload is used up.
+
+        A GeoTIFF is placed by itself: on Earth where the site has an origin, else the map's coordinates are the
+        world's.
+
+        Raises:
+            InputError: it was uploaded for something else, is no picture, or its coordinates are degrees and the site
+                has no origin.
+            TooLarge: it has too many pixels.
+            ServiceUnavailable: too many other files are being looked at.
+        """
+        if file.purpose is not Purpose.MAP:
+            raise InputError(f"the file was uploaded as {file.purpose}", hint="Upload it with the purpose 'map'.")
+        answer, jpeg = self._glimpses.look(GlimpseRequest(look="map", path=self._folder.file(file)))
+        affine, placing = answer["affine"], None
+        size = int(answer["width_px"]), int(answer["height_px"])
+        if affine is not None:
+            origin = self._sites.site(file.site_id).site.origin
+            placing = _rows(_in_world(np.array(affine), answer["epsg"], size, origin))
+        found = SiteMap(
+            filename=file.filename,
+            width_px=size[0],
+            height_px=size[1],
+            sent_width_px=answer["sent_px"][0],
+            sent_height_px=answer["sent_px"][1],
+            placing=placing,
+            placed_by="nothing" if placing is None else "GeoTIFF",
+        )
+        kept = self._save(file.site_id, found, jpeg)
+        with contextlib.suppress(NotFound):
+            self._sites.retire_file(file.site_id, file.id)
+        return kept
+
+    def place(self, site_id: str, affine: Affine, placed_by: PlacedBy) -> KeptMap:
+        """Say where the picture lies.
+
+        Args:
+            site_id: the site.
+            affine: (2, 3), pixel to world as `SiteMap.placing`; of a world file that of the picture as it was sent.
+            placed_by: what tells it.
+
+        Raises:
+            NotFound: the site has no map.
+        """
+        with self._database.writing() as session:
+            row = session.get(SiteMapRow, site_id)
+            if row is None:
+                raise _nothing(site_id)
+            there = _kept(row).map
+            if placed_by == "world file":
+                affine = shrunk(affine, there.sent_width_px / there.width_px, there.sent_height_px / there.height_px)
+            change = {"placing": _rows(affine), "placed_by": placed_by}
+            row.document = there.model_copy(update=change).model_dump_json()
+            row.saved_at = self._now()
+            session.flush()
+            return _kept(row)
+
+    def remove(self, site_id: str) -> None:
+        """Raises:
+        NotFound: the site has no map.
+        """
+        with self._database.writing() as session:
+            row = session.get(SiteMapRow, site_id)
+            if row is None:
+                raise _nothing(site_id)
+            session.delete(row)
+
+    def _save(self, site_id: str, found: SiteMap, jpeg: bytes) -> KeptMap:
+        with self._database.writing() as session:
+            row = session.get(SiteMapRow, site_id)
+            if row is None:
+                row = SiteMapRow(site_id=site_id)
+                session.add(row)
+            row.document, row.picture, row.saved_at = found.model_dump_json(), jpeg, self._now()
+            session.flush()
+            return _kept(row)
+
+
+def _kept(row: SiteMapRow) -> KeptMap:
+    return KeptMap(SiteMap.model_validate_json(row.document), f"{row.saved_at:.6f}")
+
+
+def _nothing(site_id: str) -> NotFound:
+    return NotFound(f"site {site_id} has no map", hint="Upload a picture with the purpose 'map', then PUT it here.")
+
+
+def _rows(affine: Affine) -> Placing:
+    (a, b, c), (d, e, f) = affine.tolist()
+    return (a, b, c), (d, e, f)
+
+
+def _in_world(affine: Affine, epsg: int | None, size: tuple[int, int], origin: Origin | None) -> Affine:
+    """(2, 3) of pixels to the world, from (2, 3) of pixels to a map's coordinates."""
+    from pyproj import CRS, Transformer  # few requests need it
+    from pyproj.exceptions import CRSError
+
+    try:
+        system = None if epsg is None else CRS.from_epsg(epsg)
+    except CRSError:
+        system = None
+    if system is None or origin is None:
+        if system is not None and (system.is_geographic or system.axis_info[0].unit_name != "metre"):
+            raise InputError(
+                f"the picture's coordinates ({system.name}) are not in metres",
+                hint="Say where the site's world lies on Earth (origin in its JSON), or project the picture to UTM.",
+            )
+        return affine
+    u, v = (np.array([0.0, n - 1.0]) for n in size)
+    corners = np.array([[x, y, 1.0] for x in u for y in v])
+    x, y = (affine @ corners.T)[:2]
+    lon, lat = Transformer.from_crs(system, "EPSG:4326", always_xy=True).transform(x, y)
+    world = Earth(origin).world(np.asarray(lon), np.asarray(lat), np.full(len(corners), np.nan))[:, :2]
+    return np.linalg.lstsq(corners, world, rcond=None)[0].T
