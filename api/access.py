@@ -29,7 +29,7 @@ _RULES: tuple[tuple[tuple[str, ...], str, Scope], ...] = (
     (_ANY, r"/v1/jobs/[^/]+/(labels|conflicts)/.*", Scope.UPLOAD),
     (_ANY, r"/v1/(sites|cameras)/[^/]+/jobs|/v1/models/[^/]+/runs(/.*)?", Scope.RUN),
     (_ANY, r"/v1/(sites|cameras)(/.*)?", Scope.UPLOAD),
-    (_ANY, r"/v1/(jobs|models|runs)(/.*)?", Scope.RUN),
+    (_ANY, r"/v1/(jobs|models|runs|webhooks)(/.*)?", Scope.RUN),
 )
 _COMPILED = tuple((methods, re.compile(pattern), scope) for methods, pattern, scope in _RULES)
 

@@ -44,6 +44,7 @@ class Housekeeper:
         if number % _TIDY_EVERY == 0:
             services.uploads.tidy()
             services.audit.tidy()
+            services.webhooks.tidy()
             services.site_tracks.tidy()
             services.stages.sweep(services.leases.running_hashes)
             services.folder.tidy_clips(services.clips.ids)

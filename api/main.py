@@ -34,6 +34,7 @@ from api.routes import (
     sites,
     system,
     uploads,
+    webhooks,
 )
 from api.security import Gate
 from api.services import Services
@@ -80,7 +81,9 @@ def create_app(settings: ServiceSettings) -> FastAPI:
         await run_in_threadpool(_prepare, services)
         housekeeper = Housekeeper(services)
         housekeeper.start()
+        services.webhook_sender.start()
         yield
+        await run_in_threadpool(services.webhook_sender.stop)
         await run_in_threadpool(housekeeper.stop)
         services.database.close()
 
@@ -111,6 +114,7 @@ def create_app(settings: ServiceSettings) -> FastAPI:
         labels.router,
         exports.router,
         access.router,
+        webhooks.router,
         models.router,
         models.footage_router,
         site_tracks.router,

@@ -33,6 +33,8 @@ from wibam_core.adapters.site_maps import SiteMaps
 from wibam_core.adapters.site_store import SiteStore
 from wibam_core.adapters.site_tracks import SiteTracks
 from wibam_core.adapters.uploads import UploadService
+from wibam_core.adapters.webhook_sending import WebhookSender
+from wibam_core.adapters.webhook_store import WebhookStore
 from wibam_core.stages.store import StageStore
 
 
@@ -65,6 +67,8 @@ class Services:
     runs: Runs
     site_tracks: SiteTracks
     maps: SiteMaps
+    webhooks: WebhookStore
+    webhook_sender: WebhookSender
 
     @classmethod
     def connect(cls, settings: ServiceSettings) -> Services:
@@ -73,7 +77,7 @@ class Services:
         database = Database(settings.database_url)
         sites, jobs, models = SiteStore(database), JobStore(database), ModelStore(database)
         results, stages, glimpses = JobResults(folder.stages), StageStore(folder.stages), Glimpses()
-        leases = LeaseStore(database, settings.leases)
+        leases, webhooks = LeaseStore(database, settings.leases), WebhookStore(database)
         # with another token, what rested on the old one ends
         signing_secret = f"{folder.secret()}:{settings.token_sha256}"
         return cls(
@@ -104,6 +108,8 @@ class Services:
             runs=Runs(models, jobs, sites, folder, stages),
             site_tracks=SiteTracks(database, jobs, results, folder),
             maps=SiteMaps(database, sites, folder, glimpses),
+            webhooks=webhooks,
+            webhook_sender=WebhookSender(webhooks, settings.webhook_networks),
         )
 
 

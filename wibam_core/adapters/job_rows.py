@@ -10,6 +10,7 @@ from sqlalchemy.orm import Session
 
 from wibam_core.adapters import records
 from wibam_core.adapters.models import EventRow, FileRow, JobFileRow, JobRow, JobTagRow, StageRow
+from wibam_core.adapters.webhook_rows import announce
 from wibam_core.errors import NotFound
 from wibam_core.jobs.machine import Settlement, StageNode, check_job_move, check_stage_move, settle
 from wibam_core.jobs.records import EventKind, Job, StoredFile
@@ -122,6 +123,7 @@ def move_job(
     if error is not None:
         job.error = dict(error)
     add_event(session, job, EventKind.JOB, now, state=state.value, error=error)
+    announce(session, job, now)
 
 
 def move_stage(session: Session, job: JobRow, stage: StageRow, state: StageState, now: float, **news: Any) -> None:

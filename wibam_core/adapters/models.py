@@ -333,6 +333,42 @@ class CounterRow(Base):
     value: Mapped[float]
 
 
+class WebhookRow(Base):
+    """Of a site's jobs, of one job's, or of all; it outlives what it is of until everything is told."""
+
+    __tablename__ = "webhooks"
+
+    id: Mapped[str] = mapped_column(String(64), primary_key=True)
+    name: Mapped[str] = mapped_column(String(200))
+    url: Mapped[str] = mapped_column(String(2000))
+    site_id: Mapped[str | None] = mapped_column(String(64))
+    job_id: Mapped[str | None] = mapped_column(String(64))
+    events: Mapped[list[str]]
+    secret: Mapped[str] = mapped_column(String(80))
+    active: Mapped[bool]
+    created_at: Mapped[float]
+
+
+class DeliveryRow(Base):
+    """Something that a webhook is told; ``claims`` counts the senders that have taken it."""
+
+    __tablename__ = "webhook_deliveries"
+    __table_args__ = (
+        Index("ix_webhook_deliveries_due", "state", "next_at"),
+        Index("ix_webhook_deliveries_of", "webhook_id", "created_at"),
+    )
+
+    id: Mapped[str] = mapped_column(String(64), primary_key=True)
+    webhook_id: Mapped[str] = mapped_column(ForeignKey("webhooks.id", ondelete="CASCADE"))
+    event: Mapped[str] = mapped_column(String(32))
+    body: Mapped[str] = mapped_column(Text)
+    state: Mapped[str] = mapped_column(String(16))
+    attempts: Mapped[list[dict[str, Any]]]
+    claims: Mapped[int]
+    next_at: Mapped[float | None]
+    created_at: Mapped[float]
+
+
 class EventRow(Base):
     __tablename__ = "events"
 

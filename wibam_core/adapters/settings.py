@@ -7,6 +7,7 @@ import os
 import re
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from ipaddress import IPv4Network, IPv6Network, ip_network
 from pathlib import Path
 
 from wibam_core.adapters.database import sqlite_url
@@ -47,6 +48,7 @@ class ServiceSettings:
         broker_url: of Redis, e.g. ``redis://redis:6379/0`` or ``redis+socket:///path/redis.sock``.
         token_sha256: SHA-256 (hex) of the API token; the token itself is not kept.
         upload_quota_bytes: all uploads together. upload_lifetime_s: unfinished ones are dropped without news.
+        webhook_networks: webhooks may lead into these beside the public internet.
         cors_origins: pages of these origins, e.g. ``https://app.example``, may use the API from a browser.
     """
 
@@ -57,6 +59,7 @@ class ServiceSettings:
     upload_quota_bytes: int = 500 * _GB
     upload_lifetime_s: float = 24 * 3600.0
     cors_origins: tuple[str, ...] = ()
+    webhook_networks: tuple[IPv4Network | IPv6Network, ...] = ()
     leases: LeasePolicy = field(default_factory=LeasePolicy)
     limits: StageLimits = field(default_factory=lambda: StageLimits(_most_of_the_memory(), 6 * 3600.0))
 
@@ -88,6 +91,7 @@ class ServiceSettings:
             upload_quota_bytes=int(_number(environment, "WIBAM_UPLOAD_QUOTA_GB", 500.0) * _GB),
             upload_lifetime_s=_number(environment, "WIBAM_UPLOAD_LIFETIME_H", 24.0) * 3600.0,
             cors_origins=tuple(filter(None, map(str.strip, environment.get("WIBAM_CORS_ORIGINS", "").split(",")))),
+            webhook_networks=_networks(environment.get("WIBAM_WEBHOOK_NETWORKS", "")),
             limits=StageLimits(
                 int(_number(environment, "WIBAM_STAGE_MEMORY_GB", _most_of_the_memory() / _GB) * _GB),
                 _number(environment, "WIBAM_STAGE_HOURS", 6.0) * 3600.0,
@@ -105,6 +109,7 @@ class ServiceSettings:
             "WIBAM_UPLOAD_QUOTA_GB": repr(self.upload_quota_bytes / _GB),
             "WIBAM_UPLOAD_LIFETIME_H": repr(self.upload_lifetime_s / 3600.0),
             "WIBAM_CORS_ORIGINS": ",".join(self.cors_origins),
+            "WIBAM_WEBHOOK_NETWORKS": ",".join(map(str, self.webhook_networks)),
             "WIBAM_STAGE_MEMORY_GB": repr(self.limits.memory_bytes / _GB),
             "WIBAM_STAGE_HOURS": repr(self.limits.seconds / 3600.0),
             "WIBAM_JOB_HOURS": repr(self.limits.job_seconds / 3600.0),
@@ -114,6 +119,15 @@ class ServiceSettings:
 def token_digest(token: str) -> str:
     """The SHA-256 (hex) by which the service knows a token. Tokens are long and random, so no salt is needed."""
     return hashlib.sha256(token.encode()).hexdigest()
+
+
+def _networks(text: str) -> tuple[IPv4Network | IPv6Network, ...]:
+    try:
+        return tuple(ip_network(part) for part in filter(None, map(str.strip, text.split(","))))
+    except ValueError as error:
+        raise InputError(
+            f"WIBAM_WEBHOOK_NETWORKS: {error}", hint="Give networks separated by commas: 10.0.0.0/8,fd00::/8."
+        ) from None
 
 
 def _required(environment: Mapping[str, str], name: str) -> str:

@@ -26,7 +26,7 @@ COMMANDS: Mapping[str, tuple[str, str]] = MappingProxyType(
         "import": ("importing", "import_data"),
         "calibration": ("calibration", "calibration"),
         **{name: (name, name) for name in ("simulate", "detect", "signals", "track", "watch")},
-        **{name: (name, "app") for name in ("jobs", "keys", "labels", "models", "weights")},
+        **{name: (name, "app") for name in ("jobs", "keys", "labels", "models", "webhooks", "weights")},
     }
 )
 

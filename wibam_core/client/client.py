@@ -24,6 +24,7 @@ from wibam_core.client.views import (
     PlannedView,
     SiteView,
 )
+from wibam_core.client.webhooks import WebhookRequests
 from wibam_core.errors import ServiceUnavailable
 from wibam_core.job_kind import JobKind
 from wibam_core.jobs.records import Purpose
@@ -31,7 +32,7 @@ from wibam_core.jobs.states import JobState
 from wibam_core.site import Site
 
 
-class WibamClient(NetworkRequests, ResultRequests, LabelRequests, ClipRequests):
+class WibamClient(NetworkRequests, ResultRequests, LabelRequests, ClipRequests, WebhookRequests):
     """Talks to one service. A context manager. Errors of the service come back as `WibamError`s of the same kind.
 
     Args:

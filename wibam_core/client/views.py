@@ -13,6 +13,7 @@ from wibam_core.errors import WibamError
 from wibam_core.jobs.clips import ClipState
 from wibam_core.jobs.records import ModelState, Purpose
 from wibam_core.jobs.states import JobState, StageState
+from wibam_core.jobs.webhooks import DeliveryState, WebhookEvent
 
 
 class _View(BaseModel):
@@ -166,6 +167,45 @@ class NewKeyView(KeyView):
     """A key that was just made, with its secret."""
 
     secret: str
+
+
+class WebhookView(_View):
+    """Who is told of what."""
+
+    id: str
+    name: str
+    url: str
+    site_id: str | None
+    job_id: str | None
+    events: tuple[WebhookEvent, ...]
+    active: bool
+
+
+class NewWebhookView(WebhookView):
+    """A webhook that was just made, with the secret of its signatures."""
+
+    secret: str
+
+
+class AttemptView(_View):
+    """One try at sending; without a status there was no answer."""
+
+    at: str
+    status: int | None
+    error: str
+    seconds: float
+
+
+class DeliveryView(_View):
+    """Something that a webhook was, or is to be, told."""
+
+    id: str
+    event: WebhookEvent
+    state: DeliveryState
+    body: str
+    attempts: tuple[AttemptView, ...]
+    next_at: str | None
+    created_at: str
 
 
 class AuditView(_View):

@@ -1,0 +1,175 @@
+"""Sends what webhooks are told. A user names the address, so that it must not lead into the operator's own network.
+
+The name is resolved once, each of its addresses is judged, and the connection goes to one that was judged, whatever the
+name resolves to a moment later. Redirects are not followed, and no proxy is used.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import ipaddress
+import logging
+import socket
+import threading
+import time
+from collections.abc import Sequence
+from urllib.parse import urlsplit
+
+import httpx
+from sqlalchemy.exc import SQLAlchemyError
+
+from wibam_core import __version__
+from wibam_core.adapters.webhook_store import Due, WebhookStore
+from wibam_core.errors import InputError
+from wibam_core.jobs.webhooks import Attempt, signed_headers
+
+Network = ipaddress.IPv4Network | ipaddress.IPv6Network
+Address = ipaddress.IPv4Address | ipaddress.IPv6Address
+_LOOK_EVERY_S = 1.0
+_AT_ONCE = 16
+_MOST_URL = 2000
+#: For all of one attempt, however slowly the other side trickles.
+_TIMEOUT_S = 15.0
+_LEASE_S = 60.0
+_NAT64 = ipaddress.IPv6Network("64:ff9b::/96")
+_log = logging.getLogger(__name__)
+
+
+class Refused(InputError):
+    code = "address_refused"
+
+
+def check_url(url: str, allowed: Sequence[Network]) -> str:
+    """A webhook's address as it may be kept.
+
+    Args:
+        url: given by a user.
+        allowed: networks that may be told beside the public ones.
+
+    Raises:
+        InputError: it is not an HTTP address without a user, or is longer than 2,000 characters.
+        Refused: its host is an address that is not public.
+    """
+    try:
+        parts = urlsplit(url)
+        host, _ = parts.hostname, parts.port
+        known = parts.scheme in ("http", "https") and bool(host) and httpx.URL(url).host != ""
+    except (ValueError, httpx.InvalidURL):
+        known, host = False, None
+    if not known or host is None or "@" in parts.netloc or len(url) > _MOST_URL or not url.isprintable() or " " in url:
+        raise InputError(
+            f"{url[:80]!r} is no address that can be told",
+            hint="Give https://host/path or http://host/path, without a user and password.",
+            field="url",
+        )
+    with contextlib.suppress(ValueError):  # a name, which is looked up when something is sent
+        _check(ipaddress.ip_address(host), allowed)
+    return url
+
+
+def _check(address: Address, allowed: Sequence[Network]) -> None:
+    """Raises:
+    Refused: the address is not public, nor in a network that the operator allows.
+    """
+    inner: Address = address
+    if isinstance(address, ipaddress.IPv6Address):
+        if address.ipv4_mapped is not None:
+            inner = address.ipv4_mapped
+        elif address in _NAT64:
+            inner = ipaddress.IPv4Address(int(address) & 0xFFFFFFFF)
+        elif address.sixtofour is not None or address.teredo is not None:
+            raise Refused(f"{address} leads through a tunnel", hint="Give a name or address that does not.")
+    if any(inner in network for network in allowed if network.version == inner.version):
+        return
+    if not inner.is_global or inner.is_multicast:
+        raise Refused(
+            f"{address} is not a public address",
+            hint="The service's operator can allow networks of their own: WIBAM_WEBHOOK_NETWORKS.",
+        )
+
+
+class WebhookSender:
+    """Sends what is due, from a thread of its own. Any number may run at once, in any number of processes.
+
+    Args:
+        store: of the webhooks.
+        allowed: networks that may be told beside the public ones.
+    """
+
+    def __init__(self, store: WebhookStore, allowed: Sequence[Network] = ()) -> None:
+        self._store = store
+        self._allowed = tuple(allowed)
+        self._stop = threading.Event()
+        self._thread = threading.Thread(target=self._run, name="webhooks", daemon=True)
+
+    def start(self) -> None:
+        self._thread.start()
+
+    def stop(self) -> None:
+        """Returns once what was being sent has ended, one way or the other."""
+        self._stop.set()
+        if self._thread.is_alive():
+            self._thread.join(timeout=_TIMEOUT_S + 5.0)
+
+    def send_due(self) -> int:
+        """Try what is due now; returns how many that was."""
+        due = self._store.take(_AT_ONCE, _LEASE_S)
+        if due:
+            asyncio.run(self._send_all(due))
+        return len(due)
+
+    def _run(self) -> None:
+        sent = 0
+        while not self._stop.wait(0.0 if sent == _AT_ONCE else _LOOK_EVERY_S):
+            sent = 0
+            try:
+                sent = self.send_due()
+            except SQLAlchemyError as error:  # what was sent is sent again: receivers know it by its id
+                _log.warning("the database did not answer while webhooks were sent: %s", error)
+            except Exception:  # whatever it was: the next look comes
+                _log.exception("sending webhooks failed")
+
+    async def _send_all(self, due: Sequence[Due]) -> None:
+        fresh = httpx.Limits(max_keepalive_connections=0)
+        async with httpx.AsyncClient(trust_env=False, follow_redirects=False, timeout=_TIMEOUT_S, limits=fresh) as http:
+            attempts = await asyncio.gather(*(self._attempt(http, one) for one in due))
+        for one, attempt in zip(due, attempts, strict=True):
+            self._store.note(one, attempt)
+
+    async def _attempt(self, http: httpx.AsyncClient, due: Due) -> Attempt:
+        began, started = time.time(), time.monotonic()
+        status, error = None, ""
+        try:
+            async with asyncio.timeout(_TIMEOUT_S):
+                status = await self._post(http, due, int(began))
+        except TimeoutError:
+            error = f"no answer within {_TIMEOUT_S:g} s"
+        except Refused as refused:
+            error = refused.message
+        except (httpx.HTTPError, OSError) as trouble:
+            error = (str(trouble) or type(trouble).__name__)[:300]
+        if status is not None and not 200 <= status < 300:
+            error = f"answered with status {status}"
+        return Attempt(began, status, error, round(time.monotonic() - started, 3))
+
+    async def _post(self, http: httpx.AsyncClient, due: Due, now_s: int) -> int:
+        url = httpx.URL(due.url)
+        port = url.port or (443 if url.scheme == "https" else 80)
+        loop = asyncio.get_running_loop()
+        found = await loop.getaddrinfo(url.host, port, type=socket.SOCK_STREAM)
+        addresses = [ipaddress.ip_address(str(info[4][0]).partition("%")[0]) for info in found]
+        for address in addresses:
+            _check(address, self._allowed)
+        body = due.delivery.body.encode()
+        headers = {
+            "Host": url.netloc.decode("ascii"),
+            "Content-Type": "application/json",
+            "User-Agent": f"WIBAM/{__version__}",
+            **signed_headers(due.secret, due.delivery.id, now_s, body),
+        }
+        pinned = url.copy_with(host=str(addresses[0]))
+        # certificates are checked against the name, not the address
+        extensions = {"sni_hostname": url.host} if url.scheme == "https" else {}
+        async with http.stream("POST", pinned, content=body, headers=headers, extensions=extensions) as response:
+            return response.status_code  # what else it says interests nobody
