@@ -116,6 +116,7 @@ def _cpu_s(footage: Footage, config: PipelineConfig, bfloat16: bool, rounds: flo
     # associated, and fitted without each camera in turn where that judges
     judging = (2.0 * minutes + 8.0 * min(of_val / 60, minutes)) * footage.cameras / 4
     fitting = judging + 6.0 * minutes * config.dataset.train_share * footage.cameras / 4
+    moving = decoded_jpeg + 0.02  # silhouettes in an image, and a second look at those that are new
     teaching = 3.0 + (0.056 if bfloat16 else 0.21) * _WINDOWS * 8 * config.rounds.steps
     return {
         "preflight": 1.0 + 1e-4 * footage.frames,
@@ -127,8 +128,11 @@ def _cpu_s(footage: Footage, config: PipelineConfig, bfloat16: bool, rounds: flo
         "detect": 2.0 + (0.0125 + decoded_jpeg) * searched + (config.detect.refine != "off") * 0.035 * searched,
         "refine": 0.7 if config.refine.method == "none" else 3.0 + 9.0 * min(minutes, 5.0) * footage.cameras / 4,
         "rounds": 1.0
-        if config.rounds.most == 0
-        else 3.0 + judging + rounds * (fitting + teaching + (image + decoded_jpeg + 0.04) * searched),
+        if not config.rounds.asked_for
+        else 3.0
+        + judging
+        + (rounds > 0) * config.rounds.motion * (moving * searched + judging)
+        + rounds * bool(config.rounds.most) * (fitting + teaching + (image + decoded_jpeg + 0.04) * searched),
         "associate": 1.0 + 2.0 * minutes * footage.cameras / 4,
         "dataset": 1.5,
         "lift": 2.0 + 6.0 * minutes * footage.cameras / 4,

@@ -2,7 +2,12 @@
 
 from __future__ import annotations
 
+from typing import Literal
+
 from wibam_core.documents.base import Document
+
+#: What found the boxes of a round: the detector, what moves beside the still background, or a network that was taught.
+Source = Literal["detector", "motion", "network"]
 
 
 class HeldOutAgreement(Document):
@@ -28,13 +33,15 @@ class Round(Document):
     """The boxes of all cameras after a round. Round 0 is what the detector found."""
 
     number: int
+    source: Source
+    """What found those that were not there before."""
     boxes_an_image: dict[str, float]
     """By camera, at the instants before the test part."""
     vehicles_an_instant: dict[str, float]
     """How many vehicles an instant are seen in so many views, before the test part."""
     views_a_vehicle: float | None
     taught_vehicles: int | None = None
-    """Tracks of the training part that taught the network that found these boxes; none in round 0."""
+    """Tracks of the training part that taught the network that found these boxes; none of other sources."""
     taught_fits: int | None = None
     """Their fits: vehicle-instants of the training part."""
     agreement: HeldOutAgreement

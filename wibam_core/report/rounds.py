@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
-from wibam_core.documents.rounds import Rounds
+from collections.abc import Mapping
+
+from wibam_core.documents.rounds import Rounds, Source
 from wibam_core.report.words import NONE, number, percent
 
-#: Titles of the cells of `round_rows`, after the round's number.
+_SOURCES: Mapping[Source, str] = {"detector": "detector", "motion": "what moves", "network": "taught network"}
+#: Titles of the cells of `round_rows`, after the round's number and source.
 ROUND_TITLES = (
     "boxes an image",
     "vehicles an instant, in several views",
@@ -17,12 +20,12 @@ ROUND_TITLES = (
 
 
 def round_rows(rounds: Rounds) -> tuple[tuple[str, ...], ...]:
-    """A row a round: its number, which says whether it was kept, and cells for `ROUND_TITLES`; none without rounds."""
+    """A row a round: number and source, which say whether it was kept, and cells for `ROUND_TITLES`; none without."""
     if len(rounds.rounds) < 2:
         return ()
     return tuple(
         (
-            f"{one.number}{' (kept)' if one.number == rounds.kept else ''}",
+            f"{one.number}: {_SOURCES[one.source]}{' (kept)' if one.number == rounds.kept else ''}",
             number(sum(one.boxes_an_image.values()) / max(len(one.boxes_an_image), 1), 1),
             number(sum(count for views, count in one.vehicles_an_instant.items() if int(views) > 1), 2),
             percent(one.agreement.found),
@@ -39,9 +42,9 @@ def rounds_text(rounds: Rounds) -> str:
     if not rounds.rounds:
         return ""
     if len(rounds.rounds) == 1:
-        return f"No network was taught to look for what the detector overlooked: {rounds.reason}."
+        return f"Nothing else looked for what the detector overlooked: {rounds.reason}."
     return (
-        "What several cameras see taught a network, which looked for what the detector overlooked; round 0 is what it "
-        "found. Each camera's boxes were compared with vehicles that the others place, at instants that neither taught "
-        f"nor test. Round {rounds.kept} is kept: {rounds.reason}."
+        "What the detector overlooked was looked for by what moves beside the still backgrounds, and by networks that "
+        "what several cameras see had taught. Each camera's boxes were compared with vehicles that the others place, "
+        f"at instants that neither taught nor test. Round {rounds.kept} is kept: {rounds.reason}."
     )

@@ -1,11 +1,12 @@
 """Find, fit, teach, and find again, as far as it is needed.
 
 How many of the vehicles that other cameras place has each camera a box of? Where that is nearly all of them, nothing
-more is done. Else a round fits the vehicles that several cameras see, teaches a network by those of the training part,
-and looks for vehicles with it in all frames. What it sees, and what only the detector saw, is looked at again beside
-the still backgrounds and associated (`rounds.settled`). Rounds go on while the agreement between views rises
-(`rounds.agreement`), which is judged at instants and of vehicles that nothing was taught by. What the network alone saw
-counts only where another camera confirms it: else its mistakes would teach it.
+more is done. Else the first round looks for what moves beside the still backgrounds (`rounds.moving`), which needs no
+network. Where that is not enough, a round fits the vehicles that several cameras see, teaches a network by those of the
+training part, and looks for vehicles with it in all frames. What it sees, and what was found before, is looked at
+again beside the still backgrounds and associated (`rounds.settled`). Rounds go on while the agreement between views
+rises (`rounds.agreement`), which is judged at instants and of vehicles that nothing was taught by. What no detector saw
+counts only where another camera confirms it: else the mistakes of a network would teach it.
 """
 
 from __future__ import annotations
@@ -15,17 +16,18 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from wibam_core.config import FinetuneConfig
+from wibam_core.config import FinetuneConfig, RoundsConfig
 from wibam_core.detection.boxes import Found
 from wibam_core.detection.instants import frames_of
 from wibam_core.detection.one_per_camera import seen_once
 from wibam_core.detection.second_look import background_frames, look_again
-from wibam_core.documents.rounds import HeldOutAgreement, Round, Rounds
+from wibam_core.documents.rounds import HeldOutAgreement, Round, Rounds, Source
 from wibam_core.errors import NoMultiViewVehicles, TooFewInstants
 from wibam_core.models.frames import Frame
 from wibam_core.models.network import Network, predict
 from wibam_core.networks.registry import load_to_train
 from wibam_core.progress import Progress, part, silent
+from wibam_core.rounds.moving import beside_what_moves
 from wibam_core.rounds.seen import beside, outlines_of
 from wibam_core.rounds.settled import Settled, agreement_before_teaching, settled, teaching_fits
 from wibam_core.rounds.world import Detected, World
@@ -58,38 +60,54 @@ def run_rounds(world: World, detected: Detected, progress: Progress = silent) ->
     if len({world.rig.mounted_id(camera_id) for camera_id in world.rig}) < _FEWEST_CAMERAS:
         return dict(detected), Rounds(rounds=[], kept=0, reason="it takes three cameras to judge whether rounds help")
     options = world.options.rounds
-    share = 1 / (options.most + 1)
+    sources = _sources(options)
+    share = 1 / (len(sources) + 1)
     try:
         best = settled(world, detected, part(progress, 0.0, 0.1 * share))
     except TooFewInstants as error:
         return dict(detected), Rounds(rounds=[], kept=0, reason=error.message)
-    rounds = [_round(0, best)]
+    rounds = [_round(0, "detector", best)]
     kept, reason = 0, "as many rounds as were asked for"
     need = first_agreement(world, best, part(progress, 0.1 * share, 0.2 * share))
-    for number in range(1, options.most + 1):
-        if need.found is None:
-            reason = "no vehicle is seen by two cameras beside the one that is judged: agreement cannot be told"
-            break
-        if need.found >= options.enough:
+    without_network = detected
+    for number, source in enumerate(sources, 1):
+        if need.found is not None and need.found >= options.enough:
             reason = f"cameras have boxes of {need.found:.0%} of the vehicles that the others place, which is enough"
             break
         own = part(progress, (number - 0.8) * share, (number + 0.2) * share)
         teaching, finding, fitting = part(own, 0.0, 0.4), part(own, 0.4, 0.85), part(own, 0.85, 1.0)
-        taught = _taught(world, best, number, teaching)
-        if taught is None:
-            reason = "no vehicle of the training part is seen by several cameras"
+        taught = None
+        if source == "motion":
+            found: Detected = beside_what_moves(world, detected, part(own, 0.0, 0.85))
+        elif need.found is None:
+            reason = "no vehicle is seen by two cameras beside the one that is judged: agreement cannot be told"
             break
-        again = settled(world, _found_again(world, detected, taught.network, finding), fitting, of_detector=detected)
-        rounds.append(_round(number, again, taught))
+        else:
+            taught = _taught(world, best, number, teaching)
+            if taught is None:
+                reason = "no vehicle of the training part is seen by several cameras"
+                break
+            found = _found_again(world, without_network, taught.network, finding)
+        again = settled(world, found, fitting, of_detector=detected)
+        rounds.append(_round(number, source, again, taught))
         before, after = best.agreement.an_instant, again.agreement.an_instant
-        if after < (1 + options.least_gain) * before or again.agreement.found is None:
+        rises = again.agreement.found is not None and after >= (1 + options.least_gain) * before
+        if again.agreement.found is not None and after >= before:
+            best, kept, need = again, number, again.agreement
+            if source == "motion":
+                without_network, need = again.detected, first_agreement(world, again)
+        if source == "network" and not rises:
             reason = "agreement between views rose no further"
-            if after >= before and again.agreement.found is not None:
-                best, kept = again, number
             break
-        best, kept, need = again, number, again.agreement
     progress(1.0, f"round {kept} is kept")
     return dict(best.detected), Rounds(rounds=rounds, kept=kept, reason=reason)
+
+
+def _sources(options: RoundsConfig) -> list[Source]:
+    """What each round may find boxes with, in order."""
+    motion: list[Source] = ["motion"] if options.motion else []
+    networks: list[Source] = ["network"] * options.most
+    return motion + networks
 
 
 def first_agreement(world: World, state: Settled, progress: Progress = silent) -> HeldOutAgreement:
@@ -142,8 +160,8 @@ def _taught(world: World, state: Settled, number: int, progress: Progress) -> _T
     return _Taught(network.runnable(choose_device(config.device)), len(vehicles), sum(map(len, fits)))
 
 
-def _found_again(world: World, of_detector: Detected, network: Network, progress: Progress) -> Detected:
-    """What the network and the detector see in all frames, after a second look."""
+def _found_again(world: World, before: Detected, network: Network, progress: Progress) -> Detected:
+    """What the network sees, and what was found before, in all frames, after a second look."""
     frames = frames_of(world.instants)
     of_backgrounds = background_frames(frames, world.shown)
     wanted = sorted({*frames, *of_backgrounds})
@@ -158,7 +176,7 @@ def _found_again(world: World, of_detector: Detected, network: Network, progress
     found = predict(network, inputs, decode="fitted", min_score=_MIN_SCORE)
     for number, (frame, vehicles) in enumerate(zip(wanted, found, strict=True)):
         seen = outlines_of(vehicles, world.rig[frame.camera_id], nms_iou)
-        looked[frame] = _unrefined(beside(seen, of_detector.get(frame, nothing)))
+        looked[frame] = _unrefined(beside(seen, before.get(frame, nothing)))
         if number % 50 == 0:
             searching(number / len(wanted), f"finding again: {number} of {len(wanted)} frames")
     config = world.options.detect
@@ -175,7 +193,7 @@ def _unrefined(found: Found) -> Boxes2D:
     return Boxes2D(found.boxes, found.scores, found.classes, unknown, unknown)
 
 
-def _round(number: int, state: Settled, taught: _Taught | None = None) -> Round:
+def _round(number: int, source: Source, state: Settled, taught: _Taught | None = None) -> Round:
     boxes: dict[str, list[int]] = {}
     views: Counter[int] = Counter()
     for instant in state.before:
@@ -184,6 +202,7 @@ def _round(number: int, state: Settled, taught: _Taught | None = None) -> Round:
         views.update(len(vehicle.views) for vehicle in instant.vehicles)
     return Round(
         number=number,
+        source=source,
         boxes_an_image={camera_id: float(np.mean(of)) for camera_id, of in sorted(boxes.items())},
         vehicles_an_instant={str(n): views[n] / len(state.before) for n in sorted(views)},
         views_a_vehicle=sum(n * of for n, of in views.items()) / views.total() if views else None,

@@ -24,7 +24,7 @@ from wibam_core.stages.base import StageContext, Summary
 def run(context: StageContext, config: RoundsConfig) -> Summary:
     """Write `ROUND_DETECTIONS`, the boxes that the stages after it work on, and `ROUNDS`, what each round gained."""
     detected = context.read(DETECTIONS)
-    if config.most == 0:
+    if not config.asked_for:
         context.write(ROUND_DETECTIONS, detected)
         context.write(ROUNDS, Rounds(rounds=[], kept=0, reason="rounds are switched off"))
         return {"rounds": 0, "kept": 0}

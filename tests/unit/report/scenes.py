@@ -13,7 +13,7 @@ from wibam_core.calibration.overlap import overlap_of
 from wibam_core.documents.conflicts import Conflicts
 from wibam_core.documents.metrics import Metrics
 from wibam_core.documents.refinement import RefinedCamera, RefinedGround, Refinement
-from wibam_core.documents.rounds import HeldOutAgreement, Round, Rounds
+from wibam_core.documents.rounds import HeldOutAgreement, Round, Rounds, Source
 from wibam_core.documents.statistics import SubsetStatistics
 from wibam_core.geometry.box3d import corners
 from wibam_core.geometry.camera import Camera
@@ -141,6 +141,13 @@ def noisy(boxes: np.ndarray, scale: float, seed: int) -> np.ndarray:
     return boxes + np.random.default_rng(seed).normal(size=boxes.shape) * spread
 
 
+#: Number, source, boxes an image, vehicles that taught, and the share found.
+_ROUNDS: tuple[tuple[int, Source, float, int | None, float], ...] = (
+    (0, "detector", 3.0, None, 0.27),
+    (1, "network", 7.0, 31, 0.83),
+)
+
+
 def report_data(*, labels: bool = True, site_name: str = "Elm Street / 4th Avenue") -> ReportData:
     """A whole report's data over the painted crossroads."""
     rig, tracks = corner_rig(4), crossing_traffic()
@@ -176,16 +183,16 @@ def report_data(*, labels: bool = True, site_name: str = "Elm Street / 4th Avenu
             rounds=[
                 Round(
                     number=number,
+                    source=source,
                     boxes_an_image={"cam1": boxes, "cam2": boxes},
                     vehicles_an_instant={"1": 1.5, "2": boxes / 4, "3": 0.25},
                     views_a_vehicle=1.7,
-                    fits=900,
                     taught_vehicles=taught,
                     agreement=HeldOutAgreement(
                         instants=60, sightings=40, iou=0.65, missed=60, found=found, an_instant=10 * found / 6
                     ),
                 )
-                for number, boxes, taught, found in ((0, 3.0, None, 0.27), (1, 7.0, 31, 0.83))
+                for number, source, boxes, taught, found in _ROUNDS
             ],
             kept=1,
             reason="as many rounds as were asked for",

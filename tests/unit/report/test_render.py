@@ -149,7 +149,7 @@ def test_without_labels_there_is_no_accuracy_but_agreement(page):
 
 
 def test_rounds_are_shown_where_there_were_any(page):
-    assert "What each round found" in page and "1 (kept)" in page
+    assert "What each round found" in page and "1: taught network (kept)" in page
     assert page.index("27 %") < page.index("83 %")
     none = text_alone(rounds=Rounds(rounds=[], kept=0, reason="rounds are switched off"))
     assert "What each round found" not in none and "overlooked:" not in none

@@ -24,8 +24,8 @@ from wibam_core.scene import Boxes2D, CameraRig, FrameKey
 SHORT = DatasetConfig(rate_hz=6.25, train_share=0.5, val_share=0.3, gap_s=0.2)
 
 
-def options(most: int = 3, enough: float = 1.0) -> Options:
-    asked = RoundsConfig(most=most, enough=enough, steps=2)
+def options(most: int = 3, enough: float = 1.0, motion: bool = False) -> Options:
+    asked = RoundsConfig(most=most, enough=enough, motion=motion, steps=2)
     return Options(asked, DetectConfig(), AssociateConfig(), SHORT, LiftConfig())
 
 
@@ -123,6 +123,47 @@ def test_a_round_is_run_where_much_is_overlooked_and_none_where_little_is(
         _, document = run_rounds(world, overlooking(detected, share))
         assert taught == expected and "which is enough" in document.reason
         assert document.kept == len(expected)
+
+
+def test_a_network_is_taught_only_where_what_moves_is_not_enough(
+    everything: tuple[World, dict[FrameKey, Boxes2D]], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    world, detected = everything
+    world = replace(world, options=options(most=1, enough=RoundsConfig().enough, motion=True))
+    few = overlooking(detected, 0.3)
+    taught = finding(monkeypatch)
+    monkeypatch.setattr(rounds, "beside_what_moves", lambda world, found, progress: dict(detected))
+    _, document = run_rounds(world, few)
+    assert taught == [] and document.kept == 1 and "which is enough" in document.reason
+    assert [one.source for one in document.rounds] == ["detector", "motion"]
+
+    # a little more moves than was found, which is not enough: a network looks for more beside it
+    places: list[int] = []
+    more = overlooking(detected, 0.25)
+
+    def found_again(world: World, before: Detected, network: object, progress: object) -> Detected:
+        places.append(sum(len(boxes.boxes) for boxes in before.values()))
+        return detected
+
+    taught = finding(monkeypatch)
+    monkeypatch.setattr(rounds, "_found_again", found_again)
+    monkeypatch.setattr(rounds, "beside_what_moves", lambda world, found, progress: more)
+    _, document = run_rounds(replace(world, options=options(most=1, motion=True)), few)
+    assert taught == [2] and document.kept == 2
+    assert [one.source for one in document.rounds] == ["detector", "motion", "network"]
+    assert places[0] > 1.01 * sum(len(boxes.boxes) for boxes in few.values())
+
+
+def test_what_moves_and_agrees_less_is_not_kept_and_a_network_is_taught_all_the_same(
+    everything: tuple[World, dict[FrameKey, Boxes2D]], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    world, detected = everything
+    few = overlooking(detected, 0.3)
+    worse = {frame: boxes._replace(boxes=boxes.boxes + 12.0) for frame, boxes in few.items()}
+    taught = finding(monkeypatch, detected)
+    monkeypatch.setattr(rounds, "beside_what_moves", lambda world, found, progress: worse)
+    _, document = run_rounds(replace(world, options=options(most=1, motion=True)), few)
+    assert taught == [2] and document.kept == 2 and len(document.rounds) == 3
 
 
 def test_footage_that_is_too_short_is_left_to_the_stages_after(

@@ -51,7 +51,7 @@ def count(found: dict[FrameKey, Boxes2D]) -> int:
 
 
 def test_boxes_pass_where_rounds_are_switched_off(folders: StageFolders) -> None:
-    assert run(folders, RoundsConfig(most=0)) == {"rounds": 0, "kept": 0}
+    assert run(folders, RoundsConfig(most=0, motion=False)) == {"rounds": 0, "kept": 0}
     given, passed = folders.read(catalogue.DETECTIONS), folders.read(catalogue.ROUND_DETECTIONS)
     assert given.keys() == passed.keys() and count(given) == count(passed) > 100
     assert folders.read(catalogue.ROUNDS).rounds == []
@@ -74,7 +74,7 @@ def test_the_boxes_of_the_round_that_is_kept_are_written(
     _, everything = by_frame(crossing().unassociated[::4])
     monkeypatch.setattr(rounds, "_taught", lambda world, state, number, progress: rounds._Taught(None, 7, 70))
     monkeypatch.setattr(rounds, "_found_again", lambda world, detected, network, progress: everything)
-    summary = run(folders, RoundsConfig(most=1))
+    summary = run(folders, RoundsConfig(most=1, motion=False))
     assert (summary["rounds"], summary["kept"]) == (1, 1)
     json.dumps(summary)
     document = folders.read(catalogue.ROUNDS)
@@ -88,6 +88,6 @@ def test_what_a_round_goes_through_matters_only_where_there_is_one() -> None:
         inputs = InputDigests({"cam1": "a", "cam2": "b", "cam3": "c", "cam4": "d"}, {})
         return {one.name: one.hash for one in plan(site_of(), PipelineConfig.parse(options), inputs)}
 
-    lift, never = {"lift": {"iterations": 20}}, {"rounds": {"most": 0}}
+    lift, never = {"lift": {"iterations": 20}}, {"rounds": {"most": 0, "motion": False}}
     assert hashes(**never)["rounds"] == hashes(**never, **lift)["rounds"]
     assert hashes()["rounds"] not in (hashes(**never)["rounds"], hashes(**lift)["rounds"])

@@ -1,0 +1,92 @@
+"""What moves, beside what a detector found."""
+
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+
+from tests.builders import corner_rig
+from wibam_core.config import AssociateConfig, DatasetConfig, DetectConfig, LiftConfig, RoundsConfig
+from wibam_core.detection.instants import frames_of
+from wibam_core.detection.second_look import backgrounds_shown
+from wibam_core.formats.framestore import FrameStore, FrameStoreWriter
+from wibam_core.geometry.boxes2d import image_iou
+from wibam_core.rounds.moving import beside_what_moves
+from wibam_core.rounds.world import Options, World
+from wibam_core.scene import Boxes2D, CameraRig, FrameKey
+
+CAMERA = "cam1"
+NOTHING = Boxes2D(np.empty((0, 4)), np.empty(0), np.empty(0, dtype=np.int64), np.empty((0, 4)), np.empty((0, 4)))
+INSTANTS = 24
+
+
+def corners(x_m: float, size_m: tuple[float, float, float]) -> np.ndarray:
+    """(8, 3) of a block that stands on the ground at (x, 0), along X."""
+    signs = np.array(np.meshgrid([-0.5, 0.5], [-0.5, 0.5], [0.0, 1.0])).reshape(3, 8).T
+    return np.array([x_m, 0.0, 0.0]) + signs * size_m
+
+
+def place_m(number: int) -> float:
+    """It drives through the view."""
+    return -23.0 + 2.0 * number
+
+
+def recorded(folder: Path, size_m: tuple[float, float, float]) -> tuple[World, dict[FrameKey, np.ndarray]]:
+    """A block of a size drives before one camera; where it is seen, px of the recording."""
+    rig = CameraRig({CAMERA: corner_rig()[CAMERA]})
+    camera = rig[CAMERA]
+    rng = np.random.default_rng(0)
+    still = np.full((camera.height_px, camera.width_px, 3), (96, 100, 104), np.uint8)
+    boxes = {}
+    with FrameStoreWriter(folder, 95) as writer:
+        for number in range(INSTANTS):
+            time_ns = number * 200_000_000
+            pixels, _ = camera.project(corners(place_m(number), size_m))
+            image = np.clip(still + rng.normal(0.0, 2.0, still.shape), 0, 255).astype(np.uint8)
+            seen = bool(camera.contains(pixels).all())
+            if seen:
+                cv2.fillConvexPoly(image, cv2.convexHull(pixels.round().astype(np.int32)), (40, 30, 120))
+            small = cv2.resize(image, None, fx=0.5, fy=0.5, interpolation=cv2.INTER_AREA)
+            writer.add(CAMERA, time_ns, time_ns, small)
+            box = np.concatenate([pixels.min(axis=0), pixels.max(axis=0)])[None]
+            boxes[FrameKey(CAMERA, time_ns)] = box if seen else np.empty((0, 4))
+        writer.close({CAMERA: (camera.width_px, camera.height_px)})
+    store = FrameStore(folder)
+    shown = backgrounds_shown(store, {CAMERA: store.stored_ns(CAMERA)}, 120.0, None)
+    options = Options(RoundsConfig(), DetectConfig(), AssociateConfig(), DatasetConfig(), LiftConfig())
+    return World(rig, {}, store, store.frame_sets, shown, Path(), options, folder), boxes
+
+
+def test_a_vehicle_that_no_detector_found_is_found(tmp_path: Path) -> None:
+    world, boxes = recorded(tmp_path, (4.4, 1.8, 1.5))
+    frames = frames_of(world.instants)
+    found = beside_what_moves(world, dict.fromkeys(frames, NOTHING))
+    assert list(found) == frames
+    there = [frame for frame in frames if len(boxes[frame])]
+    overlaps = [image_iou(found[frame].boxes, boxes[frame]).max(initial=0.0) for frame in there]
+    assert len(there) > INSTANTS / 2 and np.mean(np.array(overlaps) > 0.6) > 0.9
+    assert sum(len(of.boxes) for of in found.values()) <= 1.1 * len(there)
+    assert all(np.isfinite(of.amodal_boxes).all() for of in found.values())
+    assert {score for of in found.values() for score in of.scores} == {world.options.detect.min_score}
+
+
+@pytest.mark.parametrize("size_m", [(0.5, 0.5, 0.6), (12.0, 12.0, 9.0)], ids=["dog", "house"])
+def test_what_is_no_vehicle_by_its_size_is_not(tmp_path: Path, size_m: tuple[float, float, float]) -> None:
+    world, _ = recorded(tmp_path, size_m)
+    found = beside_what_moves(world, dict.fromkeys(frames_of(world.instants), NOTHING))
+    assert sum(len(of.boxes) for of in found.values()) <= 2
+
+
+def test_what_the_detector_found_stays_as_it_is_and_is_not_found_twice(tmp_path: Path) -> None:
+    world, boxes = recorded(tmp_path, (4.4, 1.8, 1.5))
+    known = {
+        frame: Boxes2D(
+            box + [3.0, -2.0, 5.0, 2.0], np.full(len(box), 0.7), np.full(len(box), 1), box, np.ones_like(box)
+        )
+        for frame, box in boxes.items()
+    }
+    found = beside_what_moves(world, known)
+    for frame, of in found.items():
+        for values, expected in zip(of, known[frame], strict=True):
+            np.testing.assert_array_equal(values, expected)

@@ -1,0 +1,141 @@
+"""What moves, beside what a detector found: candidates for vehicles that no network has to know.
+
+A silhouette is taken for a vehicle where it is as large as one that stands on the ground at its place, and where the
+detector has no box of it. Then it is looked at again beside the still background, as boxes of the bundled detector are.
+Which of these are vehicles, several cameras decide (`rounds.settled`).
+"""
+
+from __future__ import annotations
+
+import os
+from concurrent.futures import ThreadPoolExecutor
+from functools import partial
+from itertools import groupby
+
+import numpy as np
+from numpy.typing import NDArray
+
+from wibam_core.detection.background import StillBackground, still_background
+from wibam_core.detection.boxes import Found, Image
+from wibam_core.detection.edge_refiner import EdgeRefiner
+from wibam_core.detection.instants import frames_of
+from wibam_core.detection.moving import Stillness
+from wibam_core.detection.one_per_camera import seen_once
+from wibam_core.geometry.boxes2d import areas_px2, image_iou, intersections_px2
+from wibam_core.geometry.camera import Camera
+from wibam_core.geometry.ground import intersect_plane
+from wibam_core.geometry.outlines import outlines
+from wibam_core.geometry.pixels import scale_of
+from wibam_core.progress import Progress, silent
+from wibam_core.road_users import BODIES, RoadUserClass
+from wibam_core.rounds.seen import SAME_IOU
+from wibam_core.rounds.world import Detected, World
+from wibam_core.scene import Boxes2D, FloatArray, FrameKey
+
+#: Length, width and height of the smallest vehicle that is looked for, and of the largest, m.
+_SMALLEST, _LARGEST = (3.4, 1.6, 1.4), (14.0, 2.6, 3.8)
+#: A silhouette covers at least this share of the smallest one's outline where it is seen from its narrowest side.
+_LEAST_SHOWN = 0.5
+#: Ways in which a vehicle may stand whose outlines are compared.
+_YAWS = np.arange(4) * np.pi / 4
+#: A box of the detector shows the same where this share of it lies within a silhouette, or of that within it.
+_SAME_INSIDE = 0.6
+
+
+def beside_what_moves(world: World, detected: Detected, progress: Progress = silent) -> dict[FrameKey, Boxes2D]:
+    """The detector's boxes, and those of vehicles that move and that it has none of; their scores are the least.
+
+    Args:
+        world: the recording.
+        detected: what the detector found in the frames of the instants, px of the recording.
+        progress: told now and then.
+    """
+    refiner = EdgeRefiner()
+    frames = frames_of(world.instants)
+    found: dict[FrameKey, Boxes2D] = {}
+    with ThreadPoolExecutor(max_workers=len(os.sched_getaffinity(0))) as pool:
+        for (camera_id, block), group in groupby(frames, key=partial(_block, world)):
+            background, stillness = _background(world, camera_id, block, detected)
+            add = partial(_with_silhouettes, world, refiner, background, stillness)
+            of_block = list(group)
+            found |= zip(of_block, pool.map(add, of_block, map(detected.__getitem__, of_block)), strict=True)
+            progress(len(found) / len(frames), f"looking for what moves: {len(found)} of {len(frames)} frames")
+    return seen_once(found, world.rig) if world.rig.views else found
+
+
+def _block(world: World, frame: FrameKey) -> tuple[str, int]:
+    return frame.camera_id, world.shown[frame.camera_id].block(frame.local_ns)
+
+
+def _background(world: World, camera_id: str, block: int, detected: Detected) -> tuple[StillBackground, Stillness]:
+    """A camera's view without vehicles, those that the detector overlooks included.
+
+    A first background still has traces of these; what differs from it is left out of the second.
+    """
+    there = [FrameKey(camera_id, local_ns) for local_ns in world.shown[camera_id].of_block(block)]
+    images = [world.store.image_at(*frame) for frame in there]
+    boxes = [
+        world.store.to_stored_px(camera_id, detected[frame].boxes) if frame in detected else np.empty((0, 4))
+        for frame in there
+    ]
+    first = Stillness.of(still_background(images, boxes), images)
+    hidden = [np.concatenate([found, first.silhouettes(image)]) for found, image in zip(boxes, images, strict=True)]
+    background = still_background(images, hidden)
+    return background, Stillness.of(background, images)
+
+
+def _with_silhouettes(
+    world: World,
+    refiner: EdgeRefiner,
+    background: StillBackground,
+    stillness: Stillness,
+    frame: FrameKey,
+    known: Boxes2D,
+) -> Boxes2D:
+    store, camera = world.store, world.rig[frame.camera_id]
+    image: Image = store.image_at(*frame)
+    boxes = store.to_native_px(frame.camera_id, stillness.silhouettes(image))
+    boxes = boxes[np.flatnonzero(_as_large_as_vehicles(camera, boxes) & ~_shown_by(known.boxes, boxes))]
+    if not len(boxes):
+        return known
+    stored = store.to_stored_px(frame.camera_id, boxes)
+    scores = np.full(len(boxes), world.options.detect.min_score)
+    classes = np.full(len(boxes), RoadUserClass.CAR.number)
+    nms_iou = world.options.detect.nms_iou
+    new = refiner.refine(image, background, Found(stored, scores, classes), nms_iou=nms_iou, classify=True)
+    scale = scale_of(store.size(frame.camera_id), store.native_size(frame.camera_id), 4)
+    native, amodal = (store.to_native_px(frame.camera_id, edges) for edges in (new.boxes, new.amodal_boxes))
+    looked_at = Boxes2D(native, new.scores, new.classes, amodal, new.amodal_sd * scale)
+    rows = np.flatnonzero(image_iou(native, known.boxes).max(axis=1, initial=0.0) <= nms_iou)
+    return Boxes2D(*(np.concatenate([old, of[rows]]) for old, of in zip(known, looked_at, strict=True)))
+
+
+def _shown_by(known: FloatArray, boxes: FloatArray) -> NDArray[np.bool_]:
+    """(N,) whether silhouettes (N, 4) have boxes (M, 4) already; one of several vehicles in a row has, too."""
+    shared = intersections_px2(boxes, known)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        inside = np.maximum(shared / areas_px2(known), shared / areas_px2(boxes)[:, None])
+    same = (image_iou(boxes, known) > SAME_IOU) | (np.nan_to_num(inside) > _SAME_INSIDE)
+    return np.asarray(same.any(axis=1))
+
+
+def _as_large_as_vehicles(camera: Camera, boxes: FloatArray) -> NDArray[np.bool_]:
+    """(N,) whether boxes (N, 4) are as large as vehicles that stand where the middle of their lower edge is."""
+    foot = np.column_stack([boxes[:, [0, 2]].mean(axis=1), boxes[:, 3]])
+    places = intersect_plane(camera, foot)
+    least, most = (
+        np.array([_outline_px2(camera, places, size, yaw) for yaw in _YAWS]) for size in (_SMALLEST, _LARGEST)
+    )
+    area = areas_px2(boxes)
+    # not so where it stands nowhere in view: NaN
+    return np.asarray((area >= _LEAST_SHOWN * least.min(axis=0)) & (area <= most.max(axis=0)), dtype=bool)
+
+
+def _outline_px2(camera: Camera, places: FloatArray, size_m: tuple[float, float, float], yaw: float) -> FloatArray:
+    """(N,) areas of the outlines of vehicles of a size that stand at places (N, 3); NaN where they are not in view."""
+    known = np.asarray(np.isfinite(places).all(axis=1))
+    vehicles = np.empty((len(places), 7))
+    vehicles[:, :2] = np.where(known[:, None], places[:, :2], 0.0)
+    vehicles[:, 2], vehicles[:, 3:6], vehicles[:, 6] = size_m[2] / 2, size_m, yaw
+    seen = outlines(camera, vehicles, BODIES[np.full(len(places), RoadUserClass.CAR.number)])
+    return np.where(known & seen.in_image, areas_px2(seen.shown), np.nan)
