@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from pathlib import Path
 
+import numpy as np
+
 from wibam_core.detection.centre import CENTRE
 from wibam_core.detection.family import Detector, DetectorFamily
 from wibam_core.detection.yolox import YOLOX
@@ -21,6 +23,23 @@ FAMILIES: tuple[DetectorFamily, ...] = (
 )
 
 _EXPECTED = f"Give an ONNX file of {', or of '.join(family.card.files for family in FAMILIES if family.card.files)}."
+
+
+def check_detector(path: Path) -> None:
+    """Let a detector look at one grey image: many defects show only when a network runs.
+
+    Args:
+        path: an ONNX file.
+
+    Raises:
+        InvalidWeights: it cannot be loaded (see `load_detector`), or cannot look at an image.
+    """
+    detector = load_detector(path, min_score=0.5, nms_iou=0.5)
+    try:
+        detector.detect(np.full((180, 320, 3), 114, np.uint8))
+    except Exception as error:  # each kind of defect has its own class in onnxruntime, all directly below Exception
+        said = (str(error).strip().splitlines() or [type(error).__name__])[0]
+        raise InvalidWeights(f"{path.name} cannot look at an image: {said}", hint=_EXPECTED) from error
 
 
 def load_detector(path: Path, *, min_score: float, nms_iou: float, threads: int = 1) -> Detector:

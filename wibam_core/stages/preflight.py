@@ -1,4 +1,4 @@
-"""Check the recordings, and the hand labels and the network if there are any, before anything long begins."""
+"""Check the recordings, and the hand labels, detector and network if there are any, before anything long begins."""
 
 from __future__ import annotations
 
@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from wibam_core.artifacts.catalogue import LIMITS, PROBE, TIMESTAMPS
 from wibam_core.config import FinetuneConfig, PreflightConfig
+from wibam_core.detection.detector import check_detector
 from wibam_core.documents.recordings import Limits, Probe, VideoInfo
 from wibam_core.errors import InputError, InvalidWeights, MissingCamera, NoOverlap, UnreadableVideo
 from wibam_core.formats.labels import read_labels
@@ -22,7 +23,7 @@ from wibam_core.video.recording import Recording
 def run(context: StageContext, config: PreflightConfig) -> Summary:
     """Write `PROBE`, `TIMESTAMPS` and `LIMITS`.
 
-    Labels, and a network of the site's own where the options ask for it, are read and checked, no more.
+    Labels, and the site's own detector and network where the options ask for them, are read and checked, no more.
 
     Raises:
         MissingCamera: cameras of the site without a recording.
@@ -30,13 +31,15 @@ def run(context: StageContext, config: PreflightConfig) -> Summary:
         InputError: a recording of another size than its calibration.
         NoOverlap: a recording shorter than the time that it must share with another.
         InvalidLabels: hand labels that cannot be used.
-        InvalidWeights: a network that fine-tuning cannot start from.
+        InvalidWeights: a network that fine-tuning cannot start from, or a detector that cannot look at an image.
         InvalidOption: options of fine-tuning that the network has no use for.
     """
     missing = [camera_id for camera_id in context.site.camera_ids if camera_id not in context.recordings]
     if missing:
         raise MissingCamera(f"there is no recording of camera {', '.join(missing)}", cameras=missing)
     labelled = {"labelled_instants": len(read_labels(context.assets["labels"]))} if "labels" in context.assets else {}
+    if "detector" in context.assets:
+        _check_detector(context.assets["detector"])
     if context.checked_options is not None:
         _check_network(context.assets["network"], context.checked_options)
     infos: dict[str, VideoInfo] = {}
@@ -75,6 +78,13 @@ def _measure(camera: SiteCamera, recording: Recording) -> tuple[VideoInfo, NDArr
         return measure(recording, (camera.width_px, camera.height_px))
     except UnreadableVideo as error:
         raise UnreadableVideo(f"camera {camera.id}: {error.message}", hint=error.hint, camera=camera.id) from error
+
+
+def _check_detector(path: Path) -> None:
+    try:
+        check_detector(path)
+    except InvalidWeights as error:
+        raise InvalidWeights(f"the site's detector: {error.message}", hint=error.hint, **error.details) from error
 
 
 def _check_network(path: Path, options: FinetuneConfig) -> None:
