@@ -29,7 +29,7 @@ from wibam_core.detection.one_per_camera import seen_once
 from wibam_core.detection.second_look import FirstLook, background_frames, backgrounds_shown, look_again
 from wibam_core.detection.statistics import detection_statistics
 from wibam_core.detection.tiles import TiledDetector
-from wibam_core.errors import InputError, NoVehicles
+from wibam_core.errors import InputError
 from wibam_core.formats.framestore import FrameStore
 from wibam_core.progress import Progress, part
 from wibam_core.scene import Boxes2D, FrameKey
@@ -45,11 +45,11 @@ def run(context: StageContext, config: DetectConfig) -> Summary:
     Views of a wide lens are searched one by one; what two of one camera show is kept in the one that shows it best.
 
     That is `DETECTIONS`, 2D boxes by frame, `SEARCHED_INSTANTS`, which of the instants they belong to,
-    `DETECTION_STATISTICS`, and, where boxes were looked at a second time, `BACKGROUND_DETECTIONS`.
+    `DETECTION_STATISTICS`, and, where boxes were looked at a second time, `BACKGROUND_DETECTIONS`. A detector that
+    finds nothing at all is no error yet: the rounds look for what moves.
 
     Raises:
         InvalidWeights: a detector of one's own cannot be used.
-        NoVehicles: no frame of any camera shows a vehicle.
     """
     detector = _detector(context, config)
     store = context.read(FRAMES)
@@ -74,8 +74,6 @@ def run(context: StageContext, config: DetectConfig) -> Summary:
         seen = known | dict(look_again(store, missing, looks, first_look, shown, config, looking))
     else:
         seen = known | dict(_search_all(store, missing, first_look, context.progress))
-    if not any(len(seen[frame].boxes) for frame in frames):
-        raise NoVehicles(f"no vehicle was detected in {len(frames)} frames of {len(store.camera_ids)} cameras")
     if refined:
         context.write(BACKGROUND_DETECTIONS, {frame: looks[frame] for frame in of_backgrounds})
     detected = {frame: seen[frame] for frame in frames}

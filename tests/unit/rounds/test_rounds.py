@@ -154,6 +154,18 @@ def test_a_network_is_taught_only_where_what_moves_is_not_enough(
     assert places[0] > 1.01 * sum(len(boxes.boxes) for boxes in few.values())
 
 
+def test_what_moves_is_looked_for_where_the_detector_found_nothing(
+    everything: tuple[World, dict[FrameKey, Boxes2D]], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    world, detected = everything
+    nothing = {frame: some(boxes, np.empty(0, np.int64)) for frame, boxes in detected.items()}
+    taught = finding(monkeypatch)
+    monkeypatch.setattr(rounds, "beside_what_moves", lambda world, found, progress: dict(detected))
+    found, document = run_rounds(replace(world, options=options(enough=0.5, motion=True)), nothing)
+    assert taught == [] and document.kept == 1
+    assert sum(len(boxes.boxes) for boxes in found.values()) > 100
+
+
 def test_what_moves_and_agrees_less_is_not_kept_and_a_network_is_taught_all_the_same(
     everything: tuple[World, dict[FrameKey, Boxes2D]], monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -13,9 +13,6 @@ from wibam_core.artifacts import catalogue
 from wibam_core.clocks import ClockMap
 from wibam_core.config import DetectConfig
 from wibam_core.detection.boxes import Found
-from wibam_core.errors import (
-    NoVehicles,
-)
 from wibam_core.formats.framestore import FrameStoreWriter
 from wibam_core.road_users import RoadUserClass
 from wibam_core.stages import detect
@@ -85,11 +82,11 @@ def test_vehicles_are_looked_for_as_often_as_asked(tmp_path: Path, monkeypatch: 
     assert summary["frames"] == 10
 
 
-def test_no_vehicle_at_all_is_an_error(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_no_vehicle_at_all_is_left_to_the_stages_after(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(detect, "load_detector", lambda path, **options: BrightSpots())
     run = stored(tmp_path, spots=False)
-    with pytest.raises(NoVehicles, match="60 frames of 2 cameras"):
-        detect.run(run.of("detect"), DetectConfig())
+    summary = detect.run(run.of("detect"), DetectConfig())
+    assert summary["boxes_by_camera"] == {"a": 0, "b": 0} and len(run.detected()) == 40
 
 
 @pytest.mark.assets
