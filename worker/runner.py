@@ -23,9 +23,9 @@ from wibam_core.adapters.runs import run_assets
 from wibam_core.adapters.settings import StageLimits
 from wibam_core.config import PipelineConfig
 from wibam_core.documents.warnings import StageWarning
-from wibam_core.errors import StageError, StageOutOfMemory, StageTimedOut, WibamError
+from wibam_core.errors import StageError, StageOutOfMemory, WibamError
 from wibam_core.job_kind import JobKind
-from wibam_core.jobs.estimate import check_cost
+from wibam_core.jobs.estimate import TimeLimit, check_cost, time_limit
 from wibam_core.jobs.leases import Claim, LeasePolicy
 from wibam_core.jobs.records import Job, StageRun
 from wibam_core.jobs.states import StageState
@@ -210,7 +210,11 @@ class StageRunner:
             oom_kills = system_oom_kills()
             process = StageProcess.start(request, home=Path(home), cache=self._folder.cache, nice=self._limits.nice)
             try:
-                outcome = self._listen(claim, process, keeper, account)
+                limits = self._limits
+                allowed = time_limit(
+                    job, stage.name, this_machine(), limits.seconds, limits.times_expected, limits.least_seconds
+                )
+                outcome = self._listen(claim, process, keeper, account, allowed)
             finally:
                 process.close()
             if isinstance(outcome, Done) and process.process.returncode == 0:
@@ -222,11 +226,11 @@ class StageRunner:
             raise _Killed(error) if was_killed(process) else error
 
     def _listen(
-        self, claim: Claim, process: StageProcess, keeper: LeaseKeeper, account: _Account
+        self, claim: Claim, process: StageProcess, keeper: LeaseKeeper, account: _Account, allowed: TimeLimit
     ) -> Done | Failed | None:
         outcome: Done | Failed | None = None
         latest: Progress | None = None
-        deadline = time.monotonic() + self._limits.seconds
+        started = time.monotonic()
         next_report = next_memory_check = 0.0
         while True:
             ended = process.ended
@@ -249,9 +253,12 @@ class StageRunner:
             if now >= next_memory_check:
                 self._check_memory(claim.stage, process)
                 next_memory_check = now + _SECONDS_BETWEEN_MEMORY_CHECKS
-            self._check_wanted(claim, process, keeper, deadline)
+            self._check_wanted(claim, process, keeper)
+            if now - started > allowed.seconds:
+                process.kill()
+                raise allowed.error(claim.stage)
 
-    def _check_wanted(self, claim: Claim, process: StageProcess, keeper: LeaseKeeper, deadline: float) -> None:
+    def _check_wanted(self, claim: Claim, process: StageProcess, keeper: LeaseKeeper) -> None:
         if keeper.lost:
             process.kill()
             raise LostLease(f"the lease of {claim} was lost")
@@ -261,10 +268,6 @@ class StageRunner:
         if self._stopping():
             process.kill()
             raise _WorkerStops
-        if time.monotonic() > deadline:
-            process.kill()
-            allowed = self._limits.seconds
-            raise StageTimedOut(f"the stage {claim.stage} took longer than {allowed:g} s", seconds=allowed)
 
     def _report(self, claim: Claim, progress: Progress) -> None:
         try:

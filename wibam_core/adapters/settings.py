@@ -19,18 +19,27 @@ _GB = 1_000_000_000
 
 @dataclass(frozen=True)
 class StageLimits:
-    """What one stage may take: resident memory (bytes), wall time (s); ``nice`` is its scheduling priority.
+    """What one stage may take.
 
-    A job that is expected to take longer than ``job_seconds`` is refused once its recordings were looked at.
+    Attributes:
+        memory_bytes: resident memory.
+        seconds: wall time.
+        nice: its scheduling priority.
+        job_seconds: a job that is expected to take longer is refused once its recordings were looked at.
+        times_expected: no stage may take so many times as long as is expected of it, but
+        least_seconds: any may take so long: what was expected of little work says little.
     """
 
     memory_bytes: int
     seconds: float
     nice: int = 5
     job_seconds: float = 7 * 24 * 3600.0
+    times_expected: float = 20.0
+    least_seconds: float = 900.0
 
     def __post_init__(self) -> None:
-        if min(self.memory_bytes, self.seconds, self.job_seconds) <= 0 or not 0 <= self.nice <= 19:
+        positive = (self.memory_bytes, self.seconds, self.job_seconds, self.times_expected, self.least_seconds)
+        if min(positive) <= 0 or not 0 <= self.nice <= 19:
             raise ValueError("limits must be positive, nice in [0, 19]")
 
 
@@ -96,6 +105,7 @@ class ServiceSettings:
                 int(_number(environment, "WIBAM_STAGE_MEMORY_GB", _most_of_the_memory() / _GB) * _GB),
                 _number(environment, "WIBAM_STAGE_HOURS", 6.0) * 3600.0,
                 job_seconds=_number(environment, "WIBAM_JOB_HOURS", 168.0) * 3600.0,
+                times_expected=_number(environment, "WIBAM_STAGE_TIMES_EXPECTED", 20.0),
             ),
         )
 
@@ -112,6 +122,7 @@ class ServiceSettings:
             "WIBAM_WEBHOOK_NETWORKS": ",".join(map(str, self.webhook_networks)),
             "WIBAM_STAGE_MEMORY_GB": repr(self.limits.memory_bytes / _GB),
             "WIBAM_STAGE_HOURS": repr(self.limits.seconds / 3600.0),
+            "WIBAM_STAGE_TIMES_EXPECTED": repr(self.limits.times_expected),
             "WIBAM_JOB_HOURS": repr(self.limits.job_seconds / 3600.0),
         }
 

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 from wibam_core.config import PipelineConfig
 from wibam_core.costs import Footage, Machine, Pace, expected_s
-from wibam_core.errors import TooCostly, WibamError
+from wibam_core.errors import StageTimedOut, TooCostly, WibamError
 from wibam_core.job_kind import JobKind
 from wibam_core.jobs.records import Job, StageRun
 from wibam_core.jobs.states import StageState
@@ -65,6 +67,51 @@ def stage_remaining_s(stage: StageRun, pace: Pace, now: float) -> float | None:
     running = stage.state is StageState.RUNNING and stage.started_at is not None
     elapsed_s = now - stage.started_at if running and stage.started_at is not None else 0.0
     return pace.stage_left_s(stage.name, elapsed_s, stage.fraction if running else 0.0)
+
+
+@dataclass(frozen=True)
+class TimeLimit:
+    """How long a stage may take by the clock.
+
+    Attributes:
+        seconds: so long.
+        expected_s: what it is expected to take, where that is what the limit follows from.
+    """
+
+    seconds: float
+    expected_s: float | None = None
+
+    def error(self, stage: str) -> StageTimedOut:
+        """What a job is told whose stage took longer."""
+        if self.expected_s is None:
+            return StageTimedOut(f"the stage {stage} took longer than {self.seconds:g} s", seconds=self.seconds)
+        return StageTimedOut(
+            f"the stage {stage} took longer than {self.seconds:.3g} s, though {self.expected_s:.3g} s were expected",
+            hint="Something in the recordings, or on the machine, holds it up: look at the job's log. A restart begins "
+            "at this stage. Whoever runs the service can allow more (WIBAM_STAGE_TIMES_EXPECTED).",
+            seconds=self.seconds,
+            expected_s=self.expected_s,
+        )
+
+
+def time_limit(job: Job, stage: str, machine: Machine, most_s: float, times: float, least_s: float) -> TimeLimit:
+    """How long a stage of a job may take.
+
+    Args:
+        job: as it stands.
+        stage: which.
+        machine: that works on it.
+        most_s: no stage may take longer.
+        times: nor so many times as long as is expected of it, on a machine that is as slow as the job's stages so far
+            have shown.
+        least_s: but every stage may take so long.
+    """
+    pace = pace_of(job, machine)
+    if stage not in pace.expected_s:
+        return TimeLimit(most_s)
+    expected = pace.expected_s[stage] * max(pace.ratio, 1.0)
+    by_estimate = max(times * expected, least_s)
+    return TimeLimit(most_s) if by_estimate >= most_s else TimeLimit(by_estimate, expected)
 
 
 def check_cost(job: Job, machine: Machine, allowed_s: float) -> None:

@@ -5,7 +5,7 @@ import dataclasses
 import pytest
 
 from wibam_core.costs import Machine, Pace
-from wibam_core.jobs.estimate import job_fraction, pace_of, remaining_s, stage_remaining_s
+from wibam_core.jobs.estimate import job_fraction, pace_of, remaining_s, stage_remaining_s, time_limit
 from wibam_core.jobs.leases import LeasePolicy
 from wibam_core.jobs.records import Job, Purpose, StageRun, StoredFile, Upload
 from wibam_core.jobs.states import JobState, StageState
@@ -113,6 +113,24 @@ class TestEstimates:
         reused = dataclasses.replace(others[0], state=StageState.REUSED)
         assert set(pace_of(job(preflight, reused), machine).expected_s) == {"preflight"}
         assert pace_of(job(*others), machine).expected_s == {}
+
+    def test_a_stage_may_take_some_times_what_is_expected_on_a_machine_as_slow_as_it_has_shown(self) -> None:
+        machine, summary = Machine(cores=2, bfloat16=False), {"shortest_s": 600.0, "frames": 60_000}
+        ended = {"started_at": 0.0, "summary": summary}
+        known = job(
+            stage("preflight", StageState.SUCCEEDED, finished_at=7.0, **ended), stage("sync", StageState.RUNNING)
+        )
+        slow = job(
+            stage("preflight", StageState.SUCCEEDED, finished_at=7e5, **ended), stage("sync", StageState.RUNNING)
+        )
+        expected = pace_of(known, machine).expected_s["sync"]
+        limit = time_limit(known, "sync", machine, most_s=1e9, times=10.0, least_s=1.0)
+        assert (limit.seconds, limit.expected_s) == (pytest.approx(10.0 * expected), pytest.approx(expected))
+        assert time_limit(slow, "sync", machine, most_s=1e9, times=10.0, least_s=1.0).seconds >= limit.seconds
+        assert time_limit(known, "sync", machine, most_s=1e9, times=1e-9, least_s=77.0).seconds == 77.0
+        for times, named in ((1e9, "sync"), (1.0, "track")):  # of a stage of which nothing is known, too
+            limit = time_limit(known, named, machine, most_s=50.0, times=times, least_s=1.0)
+            assert (limit.seconds, limit.expected_s) == (50.0, None)
 
 
 class TestRecords:

@@ -226,6 +226,17 @@ class TestFailing:
         service.runner(replace(LIMITS, seconds=1e-6)).run(key(job))
         assert failure(service, job)["code"] == "stage_timed_out"
 
+    def test_many_times_what_was_expected_is_ended_and_said(self, service: Service, recording: Path) -> None:
+        job = service.job(recording, stages=3)
+        impatient = service.runner(replace(LIMITS, times_expected=1e-6, least_seconds=1e-6))
+        impatient.run(key(job))
+        assert service.jobs.job(job.id).stages[0].state is StageState.SUCCEEDED, "nothing is expected of the first one"
+        impatient.run(StageKey(job.id, "calibrate"))
+        error = failure(service, job)
+        assert error["code"] == "stage_timed_out"
+        assert "s were expected" in error["message"]
+        assert "WIBAM_STAGE_TIMES_EXPECTED" in error["hint"]
+
     def test_missing_outputs_of_an_earlier_stage_are_named(self, service: Service, recording: Path) -> None:
         job = service.job(recording, stages=3)
         service.runner().run(key(job))
