@@ -314,11 +314,14 @@ class LabelledInstant:
         visibility: camera id -> (N,) share of the vehicle's silhouette that the camera sees, in [0, 1];
             0 where it is out of view.
         velocities_mps: (N, 2) along world X and Y; NaN, or not given, where unknown.
+        do_not_care: polygons (K, 2) on the ground, m in the world, in which nobody looked closely: nothing there is
+            asked for, and nothing that is found there is wrong.
     """
 
     vehicles: Vehicles3D
     visibility: Mapping[str, FloatArray]
     velocities_mps: FloatArray = field(default_factory=lambda: np.empty((0, 2)))
+    do_not_care: tuple[FloatArray, ...] = ()
 
     def __post_init__(self) -> None:
         velocities = np.asarray(self.velocities_mps, dtype=np.float64).reshape(-1, 2)

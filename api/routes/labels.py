@@ -22,7 +22,7 @@ from wibam_core.adapters.label_store import LabelSet, LabelVersion
 from wibam_core.adapters.planning import plan_stages
 from wibam_core.adapters.site_store import UploadRequest
 from wibam_core.artifacts import catalogue
-from wibam_core.documents.hand_labels import Agreement, HandLabels, HandVehicle, HandVehicles, Suggestion
+from wibam_core.documents.hand_labels import Agreement, HandLabels, HandRegions, HandVehicle, HandVehicles, Suggestion
 from wibam_core.errors import Conflict, InputError, NotFound
 from wibam_core.formats.labels import write_labels
 from wibam_core.jobs.records import Job, Purpose
@@ -53,6 +53,7 @@ class LabelsIn(BaseModel):
 
     author: str = Field(min_length=1, max_length=100, description="who made them")
     vehicles: HandVehicles
+    regions: HandRegions = ()
     finished: bool = Field(False, description="every road user is labelled that a camera sees")
     seconds: float = Field(0.0, ge=0, le=1e7, description="how long you worked on the instant, all together")
 
@@ -66,7 +67,7 @@ class LabelsOut(BaseModel):
     labels: HandLabels
     visibility: dict[str, list[float]] = Field(
         description="camera -> for each vehicle the share that it sees: as given by hand, else as estimated from the "
-        "boxes before it and the border of the image"
+        "boxes before it, hidden regions and the border of the image"
     )
 
 
@@ -206,7 +207,13 @@ def save(
     """Adds a version. Where somebody else has saved meanwhile, nothing is changed (412, `changed_meanwhile`)."""
     job = services.jobs.job(job_id)
     _frames_at(services, job, time_ns)
-    given = HandLabels(time_ns=time_ns, vehicles=body.vehicles, finished=body.finished, seconds=round(body.seconds, 1))
+    given = HandLabels(
+        time_ns=time_ns,
+        vehicles=body.vehicles,
+        regions=body.regions,
+        finished=body.finished,
+        seconds=round(body.seconds, 1),
+    )
     saved = services.labels.save(_set(job, name), given, body.author, _version_of(if_match))
     return _out(services, job, saved, time_ns, response)
 

@@ -169,6 +169,47 @@ def test_in_the_plan_a_vehicle_is_dragged_turned_and_stretched(api: LiveApi, lab
     assert turned[6] == pytest.approx(np.pi / 2, abs=0.02)
 
 
+def test_regions_are_drawn_in_the_plan_and_in_a_view(api: LiveApi, labelling: Visit, job: str) -> None:
+    """A hidden region over the whole picture of one camera leaves the others alone."""
+    page = labelling.page
+    page.keyboard.press("p")
+    page.get_by_text("saved as version 1").wait_for()
+    view = page.get_by_label("Frame of camera north")
+    view.scroll_into_view_if_needed()
+    size = view.bounding_box()
+    assert size is not None
+    page.keyboard.press("o")
+    for u, v in ((2, 2), (size["width"] - 3, 2), (size["width"] - 3, size["height"] - 3), (2, size["height"] - 3)):
+        view.click(position={"x": u, "y": v})
+    page.keyboard.press("Enter")
+    page.get_by_text("saved as version 2").wait_for()
+    found = saved(api, job, labelling)
+    assert found["labels"]["regions"][0]["camera"] == "north"  # type: ignore[index]
+    assert max(found["visibility"]["north"]) < 0.02 and min(found["visibility"]["south"]) > 0.5  # type: ignore[index]
+    page.keyboard.press("b")
+    plan = page.get_by_label("Labelled vehicles from above")
+    for x, y in ((100, 100), (160, 100), (160, 160)):
+        plan.click(position={"x": x, "y": y})
+    page.keyboard.press("Enter")
+    page.get_by_text("saved as version 3").wait_for()
+    page.locator("summary", has_text="Regions").click()
+    assert page.locator("#regions li").count() == 2
+    drawn = np.array(saved(api, job, labelling)["labels"]["regions"][1]["polygon"])  # type: ignore[index]
+    np.testing.assert_allclose(drawn[1] - drawn[0], [drawn[1, 0] - drawn[0, 0], 0], atol=1e-9)
+    np.testing.assert_allclose(drawn[2] - drawn[1], [0, drawn[0, 0] - drawn[1, 0]], atol=0.01)
+    page.keyboard.press("Control+z")
+    page.get_by_text("saved as version 4").wait_for()
+    page.get_by_role("textbox", name="Corners").fill("0,0; 5,0; 5,5")
+    page.keyboard.press("Enter")
+    page.get_by_text("saved as version 5").wait_for()
+    kept = saved(api, job, labelling)["labels"]["regions"]  # type: ignore[index]
+    assert [one["kind"] for one in kept] == ["hidden", "do_not_care"]
+    assert kept[1]["polygon"] == [[0, 0], [5, 0], [5, 5]]
+    page.get_by_role("button", name="The instant before").click()
+    page.get_by_text("not labelled yet").wait_for()
+    assert page.locator("#regions li").count() == 2, "what stands before a camera stands there at all instants"
+
+
 def test_what_is_not_saved_is_there_again_and_two_people_see_each_other(
     api: LiveApi, labelling: Visit, playwright_browser: object, job: str
 ) -> None:

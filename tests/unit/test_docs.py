@@ -46,7 +46,7 @@ def test_make_targets_and_commands_exist(document: Path) -> None:
 
 
 def test_the_example_site_is_one() -> None:
-    example, _ = fenced(ROOT / "docs" / "site-format.md", "json")
+    example, *_ = fenced(ROOT / "docs" / "site-format.md", "json")
     site = Site.parse(example)
     assert json.loads(example)["cameras"][0]["id"] == site.cameras[0].id
 
@@ -56,6 +56,9 @@ def test_the_labels_example_and_table_are_the_format(tmp_path: Path) -> None:
     (tmp_path / "labels.json").write_text(fenced(document, "json")[1])
     (instant,) = read_labels(tmp_path / "labels.json")
     assert instant.vehicles.ids.tolist() == [7]
+    (tmp_path / "labels.json").write_text(fenced(document, "json")[2])
+    (instant,) = read_labels(tmp_path / "labels.json")
+    assert [len(polygon) for polygon in instant.do_not_care] == [3]
     table = document.read_text().split("## labels.parquet")[1]
     named = [name for row in re.findall(r"^\| (`.*?) \|", table, re.MULTILINE) for name in re.findall(r"`(\w+)`", row)]
     assert named == SCHEMA.names

@@ -38,7 +38,8 @@ class LabelRequests(Requests):
         Raises:
             ChangedMeanwhile: somebody else has saved since; nothing was changed.
         """
-        body = labels.model_dump(mode="json", include={"vehicles", "finished", "seconds"}) | {"author": author}
+        said = {"vehicles", "regions", "finished", "seconds"}
+        body = labels.model_dump(mode="json", include=said) | {"author": author}
         path, match = f"/v1/jobs/{job_id}/labels/instants/{labels.time_ns}", {"If-Match": f'"{made_from}"'}
         found = self._connection.json("PUT", path, params={"set": label_set}, headers=match, json=body)
         return int(found["version"])

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from typing import Annotated
+from typing import Annotated, Literal
 
-from pydantic import AfterValidator, ConfigDict, Field
+from pydantic import AfterValidator, ConfigDict, Field, model_validator
 
 from wibam_core.documents.base import Document, MeanSd
 from wibam_core.road_users import RoadUserClass
@@ -49,6 +49,30 @@ def _no_vehicle_twice(vehicles: tuple[HandVehicle, ...]) -> tuple[HandVehicle, .
 HandVehicles = Annotated[tuple[HandVehicle, ...], Field(max_length=500), AfterValidator(_no_vehicle_twice)]
 
 
+class HandRegion(Document):
+    """A region where labels are as they are for a reason."""
+
+    model_config = ConfigDict(extra="forbid", serialize_by_alias=True)
+
+    kind: Literal["do_not_care", "hidden"]
+    """Do not care: on the ground; nobody looked closely there, so that nothing is asked for and nothing that is found
+    is wrong. Hidden: in the picture of a camera, where something stands before the road: a tree, a pole, a building."""
+    camera: ViewId | None = None
+    """Whose picture; null on the ground."""
+    polygon: Annotated[tuple[tuple[Metres, Metres], ...], Field(min_length=3, max_length=100)]
+    """Corners: X, Y in m in the world, or u, v in px of the recording."""
+
+    @model_validator(mode="after")
+    def _in_a_picture_or_on_the_ground(self) -> HandRegion:
+        if (self.kind == "hidden") != (self.camera is not None):
+            raise ValueError("a hidden region names its camera, one that nobody cares for lies on the ground")
+        return self
+
+
+#: All regions of an instant.
+HandRegions = Annotated[tuple[HandRegion, ...], Field(max_length=200)]
+
+
 class HandLabels(Document):
     """All that is labelled at one instant."""
 
@@ -57,6 +81,7 @@ class HandLabels(Document):
     time_ns: int = Field(ge=-(2**62), le=2**62)
     """The instant, on the reference clock."""
     vehicles: HandVehicles = ()
+    regions: HandRegions = ()
     finished: bool = False
     """Every road user is labelled that a camera sees. Only finished instants are exported and evaluate anything."""
     seconds: Seconds = 0.0

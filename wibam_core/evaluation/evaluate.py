@@ -15,6 +15,7 @@ from wibam_core.evaluation.matching import match_in_image, match_on_ground, pape
 from wibam_core.evaluation.metrics import MatchMetrics, alias_share, box_errors, compare, compare_as_published
 from wibam_core.geometry.box3d import XY, Z
 from wibam_core.geometry.camera import Camera
+from wibam_core.geometry.polygons import inside_any
 from wibam_core.road_users import CLASSES, RoadUserClass, may_be_one
 from wibam_core.scene import LabelledInstant, Vehicles3D
 
@@ -129,17 +130,19 @@ def _compare_frame(
     visibility = np.asarray(instant.visibility.get(str(found.camera_id), np.zeros(len(labels))), dtype=np.float64)
     distance = np.linalg.norm(labels.boxes[:, XY] - camera.centre_m[:2], axis=1)
     elevation = np.degrees(np.arctan2(camera.centre_m[2] - labels.boxes[:, Z], distance))
+    cared_for = ~inside_any(labels.boxes[:, XY], instant.do_not_care)
     if mode == "paper_compat":
         found = found.where(paper_filter(found.boxes, found.scores))
-        match = match_in_image(labels.boxes, visibility > 0, found.boxes, camera)
+        match = match_in_image(labels.boxes, (visibility > 0) & cared_for, found.boxes, camera)
     else:
         found = found.where(found.scores >= config.min_score)
         in_range = np.linalg.norm(found.boxes[:, XY] - camera.centre_m[:2], axis=1) <= config.max_range_m
-        counts = (visibility > config.min_visibility) & (distance <= config.max_range_m)
+        counts = (visibility > config.min_visibility) & (distance <= config.max_range_m) & cared_for
         match = match_on_ground(
             labels.boxes, counts, found.boxes, config.match_distance_m, may_be_one(labels.classes, found.classes)
         )
-        false_positives = match.false_positives[in_range[match.false_positives]]
+        in_question = in_range & ~inside_any(found.boxes[:, XY], instant.do_not_care)
+        false_positives = match.false_positives[in_question[match.false_positives]]
         match = replace(match, false_positives=false_positives)
     unnamed = -1 - (number * _MOST_LABELS + np.arange(len(labels)))
     ids = np.where(labels.ids < 0, unnamed, labels.ids)
@@ -158,7 +161,7 @@ def _of_classes(instant: LabelledInstant, numbers: Indices) -> LabelledInstant:
     """What is labelled of these classes."""
     own = np.isin(instant.vehicles.classes, numbers)
     visibility = {camera_id: np.asarray(seen)[own] for camera_id, seen in instant.visibility.items()}
-    return LabelledInstant(instant.vehicles.where(own), visibility)
+    return LabelledInstant(instant.vehicles.where(own), visibility, do_not_care=instant.do_not_care)
 
 
 def _take(sightings: Sightings, rows: Indices) -> Sightings:

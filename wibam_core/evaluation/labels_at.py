@@ -96,4 +96,5 @@ def _between(first: LabelledInstant, second: LabelledInstant, time_ns: int) -> L
             np.concatenate([a.ids[i], a.ids[alone_a], b.ids[alone_b]]),
         ),
         visibility,
+        do_not_care=(*first.do_not_care, *second.do_not_care),
     )

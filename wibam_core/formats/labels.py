@@ -1,19 +1,22 @@
 """Hand labels (or truth): 7DoF boxes per instant with each camera's visibility. They only ever evaluate.
 
 Parquet with the columns of `SCHEMA`, or JSON: a list of objects with the same fields, or
-``{"labels": [...], "empty_instants": [time_ns, ...]}``. An empty instant was labelled and holds no vehicle.
+``{"labels": [...], "empty_instants": [time_ns, ...], "do_not_care": [{"time_ns": ..., "polygon": [[x, y], ...]}]}``. An
+empty instant was labelled and holds no vehicle. Parquet has the last two in its metadata.
 """
 
 from __future__ import annotations
 
 import json
 from collections.abc import Iterable
+from dataclasses import replace
 from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pyarrow as pa
+import pyarrow.parquet as pq
 
 from wibam_core.errors import InvalidLabels
 from wibam_core.formats import tables
@@ -22,6 +25,8 @@ from wibam_core.road_users import CLASSES
 from wibam_core.scene import FloatArray, LabelledInstant, Vehicles3D
 from wibam_core.text import NotUnicode, decode_text
 
+_DO_NOT_CARE = b"wibam.do_not_care"
+_REGIONS = 'Each is {"time_ns": ..., "polygon": [[x, y], ...]} with three corners at least, m in the world.'
 _VELOCITY = ("velocity_x_mps", "velocity_y_mps")
 #: ``vehicle_id`` is the same for one vehicle over time, or absent. ``visibility``: camera id -> share of the
 #: silhouette that the camera sees, in [0, 1]; a camera that is not named does not see the vehicle. The velocity may be
@@ -48,12 +53,19 @@ def write_labels(path: Path, instants: Iterable[LabelledInstant]) -> None:
     ordered = sorted(instants, key=lambda instant: instant.vehicles.time_ns)
     rows = [row for instant in ordered for row in _rows(instant)]
     empty = [instant.vehicles.time_ns for instant in ordered if not len(instant.vehicles)]
+    regions = [
+        {"time_ns": int(instant.vehicles.time_ns), "polygon": polygon.tolist()}
+        for instant in ordered
+        for polygon in instant.do_not_care
+    ]
     if path.suffix.lower() == ".json":
-        path.write_text(json.dumps({"labels": rows, "empty_instants": empty}, indent=1), encoding="utf-8")
+        whole = {"labels": rows, "empty_instants": empty, **({"do_not_care": regions} if regions else {})}
+        path.write_text(json.dumps(whole, indent=1), encoding="utf-8")
         return
     for row in rows:
         row["visibility"] = list(row["visibility"].items())
-    tables.write_table(path, _table(rows), empty_instants=[(time, None) for time in empty])
+    notes = {_DO_NOT_CARE: json.dumps(regions).encode()} if regions else {}
+    tables.write_table(path, _table(rows), empty_instants=[(time, None) for time in empty], notes=notes)
 
 
 def read_labels(path: Path) -> list[LabelledInstant]:
@@ -65,8 +77,9 @@ def read_labels(path: Path) -> list[LabelledInstant]:
     if _is_parquet(path):
         table, empty_pairs = tables.read_table(path, SCHEMA, "labels", InvalidLabels)
         empty = [time for time, _ in empty_pairs]
+        regions = _regions(json.loads((pq.read_schema(path).metadata or {}).get(_DO_NOT_CARE, b"[]")), path.name)
     else:
-        table, empty = _read_json(path)
+        table, empty, regions = _read_json(path)
     table = table.sort_by([("time_ns", "ascending")])
     times = table["time_ns"].to_numpy()
     ids = np.array([-1 if i is None else i for i in table["vehicle_id"].to_pylist()], np.int64)
@@ -89,7 +102,31 @@ def read_labels(path: Path) -> list[LabelledInstant]:
             )
         )
     found += [LabelledInstant(Vehicles3D.of(time, np.empty((0, 7))), {}) for time in empty]
-    return sorted(found, key=lambda instant: instant.vehicles.time_ns)
+    return _with_regions(sorted(found, key=lambda instant: instant.vehicles.time_ns), regions)
+
+
+def _with_regions(found: list[LabelledInstant], regions: list[tuple[int, FloatArray]]) -> list[LabelledInstant]:
+    by_time: dict[int, list[FloatArray]] = {}
+    for time_ns, polygon in regions:
+        by_time.setdefault(time_ns, []).append(polygon)
+    if unknown := sorted(by_time.keys() - {instant.vehicles.time_ns for instant in found}):
+        raise InvalidLabels(
+            f"do_not_care names {unknown[0]} ns, where nothing is labelled",
+            hint="Name a labelled instant, or list it among the empty_instants.",
+        )
+    return [replace(one, do_not_care=tuple(by_time.get(one.vehicles.time_ns, ()))) for one in found]
+
+
+def _regions(given: Any, name: str) -> list[tuple[int, FloatArray]]:
+    """Instant and polygon of each region."""
+    try:
+        found = [(int(one["time_ns"]), np.array(one["polygon"], np.float64)) for one in given]
+    except (TypeError, ValueError, KeyError, OverflowError) as cause:
+        raise InvalidLabels(f"{name}: do_not_care is no list of regions", hint=_REGIONS) from cause
+    for _, polygon in found:
+        if polygon.ndim != 2 or polygon.shape[1] != 2 or len(polygon) < 3 or not np.isfinite(polygon).all():
+            raise InvalidLabels(f"{name}: do_not_care has a polygon that is none", hint=_REGIONS)
+    return found
 
 
 def _is_parquet(path: Path) -> bool:
@@ -130,7 +167,7 @@ def _table(rows: list[dict[str, Any]]) -> pa.Table:
     return pa.table(columns)
 
 
-def _read_json(path: Path) -> tuple[pa.Table, list[int]]:
+def _read_json(path: Path) -> tuple[pa.Table, list[int], list[tuple[int, FloatArray]]]:
     try:
         data = json.loads(decode_text(path.read_bytes()))
     except NotUnicode as cause:
@@ -141,6 +178,7 @@ def _read_json(path: Path) -> tuple[pa.Table, list[int]]:
         raise InvalidLabels(f"{path.name} is neither Parquet nor JSON ({cause})", hint=_FORMAT) from cause
     rows = data.get("labels") if isinstance(data, dict) else data
     empty = data.get("empty_instants", []) if isinstance(data, dict) else []
+    regions = _regions(data.get("do_not_care", []) if isinstance(data, dict) else [], path.name)
     if not isinstance(rows, list) or not all(isinstance(row, dict) for row in rows) or not isinstance(empty, list):
         raise InvalidLabels(f"{path.name} is JSON, but holds no list of labels", hint=_FORMAT)
     rows = [
@@ -152,7 +190,8 @@ def _read_json(path: Path) -> tuple[pa.Table, list[int]]:
         if missing:
             raise InvalidLabels(f"{path.name}: label {i} has no {missing[0]}", hint=_FORMAT, field=missing[0])
     try:
-        return tables.conform(_table(rows), SCHEMA, path.name, "labels", InvalidLabels), [int(t) for t in empty]
+        table = tables.conform(_table(rows), SCHEMA, path.name, "labels", InvalidLabels)
+        return table, [int(t) for t in empty], regions
     except (pa.ArrowInvalid, pa.ArrowTypeError, TypeError, ValueError, OverflowError) as cause:
         raise InvalidLabels(f"{path.name}: {cause}", hint="Correct the value's type.") from cause
 

@@ -6,8 +6,9 @@ Units are in the column names. Files are compressed with zstd and sorted by time
 from __future__ import annotations
 
 import json
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
+from types import MappingProxyType
 
 import numpy as np
 import pyarrow as pa
@@ -81,7 +82,12 @@ def class_named(name: str, error: type[InputError] = InputError) -> RoadUserClas
 
 
 def write_table(
-    path: Path, table: pa.Table, *, empty_instants: Iterable[tuple[int, str | None]] = (), group_rows: int | None = None
+    path: Path,
+    table: pa.Table,
+    *,
+    empty_instants: Iterable[tuple[int, str | None]] = (),
+    group_rows: int | None = None,
+    notes: Mapping[bytes, bytes] = MappingProxyType({}),
 ) -> None:
     """Write a table.
 
@@ -90,9 +96,10 @@ def write_table(
         table: its rows.
         empty_instants: (time_ns, camera_id) pairs that were looked at and hold nothing.
         group_rows: so many rows can be read without the others; None for the usual million.
+        notes: what else the file's metadata say.
     """
     empty = json.dumps(sorted(empty_instants, key=lambda pair: (pair[0], pair[1] or ""))).encode()
-    table = table.replace_schema_metadata({_EMPTY_INSTANTS: empty})
+    table = table.replace_schema_metadata({_EMPTY_INSTANTS: empty, **notes})
     pq.write_table(table, path, compression="zstd", row_group_size=group_rows)
 
 

@@ -10,7 +10,7 @@ from wibam_core.documents.base import MeanSd
 from wibam_core.documents.hand_labels import Agreement, HandLabels
 from wibam_core.evaluation.matching import match_on_ground
 from wibam_core.evaluation.metrics import METRICS, MatchMetrics, compare
-from wibam_core.labelling.labels import boxes_of, visibility_of
+from wibam_core.labelling.labels import asked_for, boxes_of, visibility_of
 from wibam_core.scene import CameraRig, FloatArray
 
 #: Boxes of one vehicle are nearer than this, m.
@@ -27,8 +27,7 @@ def agreement(first: Iterable[HandLabels], second: Iterable[HandLabels], rig: Ca
     only_first = only_second = 0
     for one, other in both:
         boxes, others = boxes_of(one), boxes_of(other)
-        counts = np.array([not vehicle.ignored for vehicle in one.vehicles], bool)
-        counts_other = np.array([not vehicle.ignored for vehicle in other.vehicles], bool)
+        counts, counts_other = asked_for(one), asked_for(other)
         match = match_on_ground(boxes, counts, others, _MAX_DISTANCE_M)
         kept = counts_other[match.detections]
         a, b = match.labels[kept], match.detections[kept]

@@ -5,9 +5,12 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Mapping, Sequence
 
 import numpy as np
+from numpy.typing import NDArray
 
-from wibam_core.documents.hand_labels import HandLabels, HandVehicle
+from wibam_core.documents.hand_labels import HandLabels, HandRegion, HandVehicle
 from wibam_core.exchange.base import Content
+from wibam_core.geometry.box3d import XY
+from wibam_core.geometry.polygons import inside_any
 from wibam_core.geometry.projection import project_boxes
 from wibam_core.labelling.seen import seen_by_hand, seen_shares
 from wibam_core.road_users import CLASSES
@@ -31,18 +34,34 @@ def boxes_of(labels: HandLabels) -> FloatArray:
 
 def visibility_of(labels: HandLabels, rig: CameraRig) -> dict[str, FloatArray]:
     """Camera id -> (N,) share that it sees of each vehicle: as given by hand, else as estimated."""
-    return seen_by_hand(seen_shares(boxes_of(labels), rig), [vehicle.visibility for vehicle in labels.vehicles])
+    hidden: dict[str, list[FloatArray]] = {}
+    for region in labels.regions:
+        if region.camera is not None:
+            hidden.setdefault(region.camera, []).append(np.array(region.polygon))
+    return seen_by_hand(seen_shares(boxes_of(labels), rig, hidden), [vehicle.visibility for vehicle in labels.vehicles])
+
+
+def do_not_care(labels: HandLabels) -> tuple[FloatArray, ...]:
+    """Polygons (K, 2) on the ground in which nobody looked closely."""
+    return tuple(np.array(region.polygon) for region in labels.regions if region.kind == "do_not_care")
+
+
+def asked_for(labels: HandLabels) -> NDArray[np.bool_]:
+    """(N,) which vehicles one must find: not those that are ignored, or stand where nobody looked closely."""
+    wanted = np.array([not vehicle.ignored for vehicle in labels.vehicles], bool)
+    return wanted & ~inside_any(boxes_of(labels)[:, XY], do_not_care(labels))
 
 
 def labelled_instant(labels: HandLabels, rig: CameraRig) -> LabelledInstant:
-    """An instant as evaluations take it: ignored vehicles are seen by no camera, so that nobody is asked for them."""
-    asked_for = np.array([not vehicle.ignored for vehicle in labels.vehicles], bool)
+    """An instant as evaluations take it: whom nobody is asked for no camera sees."""
+    wanted = asked_for(labels)
     classes = np.array([CLASSES.index(vehicle.vehicle_class) for vehicle in labels.vehicles], np.int64)
     ids = np.array([vehicle.id for vehicle in labels.vehicles], np.int64)
     return LabelledInstant(
         Vehicles3D.of(labels.time_ns, boxes_of(labels), classes, ids),
-        {camera_id: shares * asked_for for camera_id, shares in visibility_of(labels, rig).items()},
+        {camera_id: shares * wanted for camera_id, shares in visibility_of(labels, rig).items()},
         np.array([vehicle.velocity_mps for vehicle in labels.vehicles], np.float64).reshape(-1, 2),
+        do_not_care(labels),
     )
 
 
@@ -76,7 +95,11 @@ def hand_labels(instant: LabelledInstant) -> HandLabels:
                 ignored=bool(seen) and not any(seen.values()),
             )
         )
-    return HandLabels(time_ns=vehicles.time_ns, vehicles=tuple(found), finished=True)
+    regions = tuple(
+        HandRegion(kind="do_not_care", polygon=tuple((float(x), float(y)) for x, y in polygon))
+        for polygon in instant.do_not_care
+    )
+    return HandLabels(time_ns=vehicles.time_ns, vehicles=tuple(found), regions=regions, finished=True)
 
 
 def content_of(

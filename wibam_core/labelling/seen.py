@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
+from types import MappingProxyType
 
 import cv2
 import numpy as np
@@ -17,17 +18,20 @@ from wibam_core.scene import CameraRig, FloatArray
 _PAINTED_WIDTH_PX = 960
 
 
-def seen_shares(boxes: FloatArray, rig: CameraRig) -> dict[str, FloatArray]:
+def seen_shares(
+    boxes: FloatArray, rig: CameraRig, hidden: Mapping[str, Sequence[FloatArray]] = MappingProxyType({})
+) -> dict[str, FloatArray]:
     """Camera id -> (N,) share in [0, 1] of each box's outline that the camera sees.
 
     What lies beyond the border of the image is not seen, and what lies behind the outline of a nearer box neither.
-    Buildings and trees are not known of.
+    Buildings and trees are not known of, but as far as somebody has outlined them.
 
     Args:
         boxes: (N, 7).
         rig: whose cameras.
+        hidden: camera id -> polygons (K, 2) in its picture, px, before which something stands.
     """
-    return {camera_id: _in_camera(camera, boxes) for camera_id, camera in rig.items()}
+    return {camera_id: _in_camera(camera, boxes, hidden.get(camera_id, ())) for camera_id, camera in rig.items()}
 
 
 def seen_by_hand(estimated: Mapping[str, FloatArray], given: list[Mapping[str, float]]) -> dict[str, FloatArray]:
@@ -43,7 +47,7 @@ def seen_by_hand(estimated: Mapping[str, FloatArray], given: list[Mapping[str, f
     }
 
 
-def _in_camera(camera: Camera, boxes: FloatArray) -> FloatArray:
+def _in_camera(camera: Camera, boxes: FloatArray, hidden: Sequence[FloatArray]) -> FloatArray:
     scale = min(1.0, _PAINTED_WIDTH_PX / camera.width_px)
     width, height = max(1, round(camera.width_px * scale)), max(1, round(camera.height_px * scale))
     border = np.array([[0, 0], [width, 0], [width, height], [0, height]], np.float32)
@@ -65,6 +69,10 @@ def _in_camera(camera: Camera, boxes: FloatArray) -> FloatArray:
         cv2.fillConvexPoly(mask, np.rint(polygon - 0.5).astype(np.int32), 1)
         alone[row] = mask.sum()
         owner[mask > 0] = row
+    for polygon in hidden:
+        mask = np.zeros((height, width), np.uint8)
+        cv2.fillPoly(mask, [np.rint(np.clip((polygon + 0.5) * scale, -1e5, 1e5) - 0.5).astype(np.int32)], 1)
+        owner[mask > 0] = -1
     kept = np.bincount(owner[owner >= 0], minlength=len(boxes))
     return np.asarray(np.clip(within * kept / np.maximum(alone, 1.0), 0.0, 1.0))
 

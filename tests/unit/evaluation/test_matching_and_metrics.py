@@ -1,5 +1,7 @@
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -291,3 +293,18 @@ def test_a_network_is_not_asked_for_what_it_does_not_know() -> None:
     )
     assert known.matched.classes.tolist() == [RoadUserClass.CAR.number]
     assert len(known.missed.classes) == known.false_positives == 0
+
+
+@pytest.mark.parametrize("mode", ["correct", "paper_compat"])
+def test_where_nobody_looked_closely_nothing_is_missed_and_nothing_is_wrong(mode: str) -> None:
+    """Two labels and three detections; one of each lies in the region."""
+    truth = replace(
+        labelled(boxes((0, 0), (10, 5)), [1.0, 1.0]),
+        do_not_care=(np.array([[8.0, 3.0], [20.0, 3.0], [20.0, 9.0], [8.0, 9.0]]),),
+    )
+    found = detected(boxes((0.1, 0), (16, 6), (0, -12)))
+    got = run(found, truth, mode)
+    assert (len(got.metrics.ate_m), len(got.missed.visibility)) == (1, 0)
+    assert got.false_positives == (1 if mode == "correct" else 0)
+    without = run(found, replace(truth, do_not_care=()), "correct")
+    assert (len(without.missed.visibility), without.false_positives) == (1, 2)

@@ -27,6 +27,16 @@ def test_a_wall_before_it_hides_it_from_one_side_alone() -> None:
     assert 0.5 < found["north"][1] < 1.0
 
 
+def test_what_stands_before_a_camera_hides_a_vehicle_from_it_alone() -> None:
+    """The camera looks at the middle of the vehicle: whoever outlines the left half of its picture hides half of it."""
+    left = np.array([[-0.5, -0.5], [319.5, -0.5], [319.5, 359.5], [-0.5, 359.5]])
+    found = seen_shares(np.array([SMALL]), RIG, {"south": [left]})
+    assert found["south"][0] == pytest.approx(0.5, abs=0.02)
+    assert found["north"][0] == 1.0
+    whole = np.array([[-0.5, -0.5], [639.5, -0.5], [639.5, 359.5], [-0.5, 359.5]])
+    assert seen_shares(np.array([SMALL]), RIG, {"south": [whole]})["south"][0] == 0.0
+
+
 def test_of_one_that_the_border_cuts_the_part_within_is_seen() -> None:
     box = np.array([[-14.2, 0.0, 1.0, 4.0, 1.8, 2.0, 0.0]])
     within, whole = (project_boxes(RIG["south"], box, clamp=clamp)[0] for clamp in (True, False))

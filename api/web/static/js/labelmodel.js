@@ -11,6 +11,9 @@
  * @property {number} seconds
  */
 
+/** @typedef {import("./labelregions.js").Region} Region */
+/** @typedef {{vehicles: Vehicle[], regions: Region[], finished: boolean}} Step */
+
 /** Faces of a box: which size they change (its place in a box), and in which direction. */
 export const FACES = /** @type {Array<{name: string, size: number, side: number}>} */ ([
   { name: "front", size: 3, side: 1 }, { name: "back", size: 3, side: -1 }, { name: "left", size: 4, side: 1 }, { name: "right", size: 4, side: -1 }, { name: "top", size: 5, side: 1 },
@@ -76,19 +79,22 @@ export class Model {
     this.changed = changed;
     /** @type {Vehicle[]} */
     this.vehicles = [];
+    /** @type {Region[]} */
+    this.regions = [];
     this.finished = false;
     /** @type {number|null} */
     this.chosen = null;
-    /** @type {Array<{vehicles: Vehicle[], finished: boolean}>} */
+    /** @type {Step[]} */
     this.past = [];
-    /** @type {Array<{vehicles: Vehicle[], finished: boolean}>} */
+    /** @type {Step[]} */
     this.future = [];
     this.step = /** @type {string|null} */ (null);
   }
 
-  /** Begin with another instant. @param {Vehicle[]} vehicles @param {boolean} finished */
-  load(vehicles, finished) {
+  /** Begin with another instant. @param {Vehicle[]} vehicles @param {boolean} finished @param {Region[]} regions */
+  load(vehicles, finished, regions) {
     this.vehicles = vehicles;
+    this.regions = regions;
     this.finished = finished;
     this.past = [];
     this.future = [];
@@ -101,15 +107,16 @@ export class Model {
     return this.vehicles.find((vehicle) => vehicle.id === this.chosen);
   }
 
-  /** Replace everything. @param {Vehicle[]} vehicles @param {{finished?: boolean, step?: string|null}} [how] changes of one `step` are undone together */
-  replace(vehicles, { finished = this.finished, step = null } = {}) {
+  /** Replace everything. @param {Vehicle[]} vehicles @param {{finished?: boolean, regions?: Region[], step?: string|null}} [how] changes of one `step` are undone together */
+  replace(vehicles, { finished = this.finished, regions = this.regions, step = null } = {}) {
     if (step === null || step !== this.step) {
-      this.past.push({ vehicles: this.vehicles, finished: this.finished });
+      this.past.push({ vehicles: this.vehicles, regions: this.regions, finished: this.finished });
       if (this.past.length > KEPT_STEPS) this.past.shift();
     }
     this.step = step;
     this.future = [];
     this.vehicles = vehicles;
+    this.regions = regions;
     this.finished = finished;
     this.changed();
   }
@@ -155,12 +162,13 @@ export class Model {
     this.#go(this.future, this.past);
   }
 
-  /** @param {Array<{vehicles: Vehicle[], finished: boolean}>} from @param {Array<{vehicles: Vehicle[], finished: boolean}>} to */
+  /** @param {Step[]} from @param {Step[]} to */
   #go(from, to) {
     const found = from.pop();
     if (!found) return;
-    to.push({ vehicles: this.vehicles, finished: this.finished });
+    to.push({ vehicles: this.vehicles, regions: this.regions, finished: this.finished });
     this.vehicles = found.vehicles;
+    this.regions = found.regions;
     this.finished = found.finished;
     this.step = null;
     if (!this.current) this.chosen = this.vehicles[0]?.id ?? null;

@@ -1,15 +1,19 @@
 // Labels on their way to the service: saved by themselves, kept in the browser until they are, merged where two people edit.
 import { get, Problem, query, request } from "./api.js";
 import { merged } from "./labelmodel.js";
+import { mergedRegions } from "./labelregions.js";
 
 const WAIT_MS = 700, AGAIN_MS = 4000;
 
 /** @typedef {import("./labelmodel.js").Vehicle} Vehicle */
+/** @typedef {import("./labelregions.js").Region} Region */
 /**
  * @typedef {Object} Draft what is not saved yet
  * @property {number} version that it was made from
  * @property {Vehicle[]} base of that version
+ * @property {Region[]} baseRegions
  * @property {Vehicle[]} vehicles
+ * @property {Region[]} regions
  * @property {boolean} finished
  * @property {number} seconds
  */
@@ -18,7 +22,7 @@ const WAIT_MS = 700, AGAIN_MS = 4000;
 export class LabelStore {
   /**
    * @param {string} jobId @param {string} set @param {number} timeNs
-   * @param {{author: () => string, saved: (answer: any) => void, said: (text: string, bad?: boolean) => void, merge: (found: {vehicles: Vehicle[], both: any[]}, author: string) => Promise<Vehicle[]>}} page
+   * @param {{author: () => string, saved: (answer: any) => void, said: (text: string, bad?: boolean) => void, merge: (found: {vehicles: Vehicle[], regions: Region[], both: any[]}, author: string) => Promise<Vehicle[]>}} page
    */
   constructor(jobId, set, timeNs, page) {
     this.path = `/v1/jobs/${jobId}/labels/instants/${timeNs}${query({ set })}`;
@@ -27,6 +31,8 @@ export class LabelStore {
     this.version = 0;
     /** @type {Vehicle[]} */
     this.base = [];
+    /** @type {Region[]} */
+    this.baseRegions = [];
     /** @type {Draft|null} */
     this.draft = null;
     this.timer = 0;
@@ -38,15 +44,16 @@ export class LabelStore {
     const answer = await get(this.path), kept = localStorage.getItem(this.key);
     this.version = answer.version;
     this.base = answer.labels.vehicles;
+    this.baseRegions = answer.labels.regions;
     if (kept === null) return { answer, draft: null };
-    this.draft = /** @type {Draft} */ (JSON.parse(kept));
+    this.draft = /** @type {Draft} */ ({ regions: [], baseRegions: [], ...JSON.parse(kept) });
     return { answer, draft: this.draft };
   }
 
-  /** Remember at once, and save soon. @param {Vehicle[]} vehicles @param {boolean} finished @param {number} seconds */
-  put(vehicles, finished, seconds) {
-    const from = this.draft ?? { version: this.version, base: this.base };
-    this.draft = { version: from.version, base: from.base, vehicles, finished, seconds };
+  /** Remember at once, and save soon. @param {Vehicle[]} vehicles @param {Region[]} regions @param {boolean} finished @param {number} seconds */
+  put(vehicles, regions, finished, seconds) {
+    const from = this.draft ?? { version: this.version, base: this.base, baseRegions: this.baseRegions };
+    this.draft = { version: from.version, base: from.base, baseRegions: from.baseRegions, vehicles, regions, finished, seconds };
     localStorage.setItem(this.key, JSON.stringify(this.draft));
     this.page.said("saving …");
     this.#soon(WAIT_MS);
@@ -71,14 +78,15 @@ export class LabelStore {
     const draft = /** @type {Draft} */ (this.draft);
     try {
       const response = await request("PUT", this.path, {
-        body: { author: this.page.author(), vehicles: draft.vehicles, finished: draft.finished, seconds: draft.seconds },
+        body: { author: this.page.author(), vehicles: draft.vehicles, regions: draft.regions, finished: draft.finished, seconds: draft.seconds },
         headers: { "If-Match": `"${draft.version}"` },
       });
       const answer = await response.json();
       this.version = answer.version;
       this.base = draft.vehicles;
+      this.baseRegions = draft.regions;
       if (this.draft === draft) this.#forget();
-      else if (this.draft) this.draft = { ...this.draft, version: this.version, base: this.base };
+      else if (this.draft) this.draft = { ...this.draft, version: this.version, base: this.base, baseRegions: this.baseRegions };
       this.page.saved(answer);
       this.page.said(`saved as version ${answer.version}`);
     } catch (error) {
@@ -92,11 +100,13 @@ export class LabelStore {
   async #failed(error, draft) {
     if (!(error instanceof Problem)) throw error;
     if (error.code === "changed_meanwhile") {
-      const theirs = await get(this.path), found = merged(draft.base, draft.vehicles, theirs.labels.vehicles);
+      const theirs = await get(this.path), regions = mergedRegions(draft.baseRegions, draft.regions, theirs.labels.regions);
+      const found = { ...merged(draft.base, draft.vehicles, theirs.labels.vehicles), regions };
       this.version = theirs.version;
       this.base = theirs.labels.vehicles;
+      this.baseRegions = theirs.labels.regions;
       const vehicles = await this.page.merge(found, theirs.author);
-      this.draft = { ...draft, version: this.version, base: this.base, vehicles };
+      this.draft = { ...draft, version: this.version, base: this.base, baseRegions: this.baseRegions, vehicles, regions };
       localStorage.setItem(this.key, JSON.stringify(this.draft));
       this.#soon(0);
       return;

@@ -11,6 +11,7 @@ import { boxAfterKey, boxAfterWheel } from "../labelkeys.js";
 import { grounded, heading, later, Model } from "../labelmodel.js";
 import { makePanel, showVehicle } from "../labelpanel.js";
 import { draggedInPlan, draggedInView } from "../labelpointer.js";
+import { RegionTool } from "../labelregions.js";
 import { LabelStore } from "../labelstore.js";
 import { WorkTimer } from "../labeltimer.js";
 import { cameraColour, drawCamera, groundInView, Plan } from "../plan.js";
@@ -26,10 +27,11 @@ let timeNs = NaN, proposals = /** @type {Vehicle[]} */ ([]), seen = /** @type {O
 let store = /** @type {LabelStore|null} */ (null), placing = false, from = /** @type {{timeNs: number, boxes: Map<number, number[]>}|null} */ (null);
 let drag = /** @type {{grip: Grip, vehicle: Vehicle, at: number[]}|null} */ (null);
 const views = /** @type {Map<string, FrameView>} */ (new Map()), timer = new WorkTimer();
-const model = new Model(changed);
+const model = new Model(changed), regions = new RegionTool(model, redraw, readOnly);
 const cache = new FrameCache(jobId, FRAME_PX, showFrames);
 const plan = new Plan(byId("plan"), (view, context) => {
   cameras.forEach((camera, index) => drawCamera(view, context, camera, cameraColour(index)));
+  regions.drawInPlan(view, context);
   drawVehicles(view, context, model.vehicles, model.chosen, colours);
 });
 const setName = () => byId("set").value || "main";
@@ -47,6 +49,7 @@ function redraw() {
   for (const camera of cameras) if (vehicle && seen[camera.id]?.[vehicle.id] !== undefined) of[camera.id] = seen[camera.id][vehicle.id];
   showVehicle(vehicle, cameras.map((camera) => camera.id), of, vehicle ? (timer.vehicles.get(vehicle.id) ?? 0) : 0);
   fill(byId("present"), model.vehicles.length ? null : h("option", { value: "" }, "none"), model.vehicles.map((one) => h("option", { value: one.id, selected: one.id === model.chosen }, `${one.id}: ${one.class}`)));
+  regions.list();
   byId("undo").disabled = readOnly || !model.past.length;
   byId("redo").disabled = readOnly || !model.future.length;
   byId("finish").textContent = model.finished ? "Finished" : "Finish";
@@ -56,7 +59,7 @@ function redraw() {
 
 /** Whatever was changed is saved. */
 function changed() {
-  if (!readOnly) store?.put(model.vehicles.map((vehicle) => ({ ...withMotion(vehicle), seconds: vehicle.seconds + (timer.vehicles.get(vehicle.id) ?? 0) })), model.finished, timer.seconds);
+  if (!readOnly) store?.put(model.vehicles.map((vehicle) => ({ ...withMotion(vehicle), seconds: vehicle.seconds + (timer.vehicles.get(vehicle.id) ?? 0) })), model.regions, model.finished, timer.seconds);
   redraw();
 }
 
@@ -80,7 +83,7 @@ function takeSeen(answer) {
   }
 }
 
-/** Two people's work, where both changed a vehicle. @param {{vehicles: Vehicle[], both: any[]}} found @param {string} author @returns {Promise<Vehicle[]>} */
+/** Two people's work, where both changed a vehicle. @param {{vehicles: Vehicle[], regions: any[], both: any[]}} found @param {string} author @returns {Promise<Vehicle[]>} */
 async function merge(found, author) {
   let vehicles = found.vehicles;
   byId("merge-said").textContent = `${author} saved this instant meanwhile. What only one of you changed is taken over${found.both.length ? "; of what both changed, say whose stands." : "."}`;
@@ -91,7 +94,7 @@ async function merge(found, author) {
     const whose = /** @type {HTMLInputElement|null} */ (byId("merge-both").querySelector(`input[name="of-${id}"]:checked`))?.value;
     if (whose === "theirs") vehicles = [...vehicles.filter((vehicle) => vehicle.id !== id), ...(theirs ? [theirs] : [])];
   }
-  model.replace(vehicles);
+  model.replace(vehicles, { regions: found.regions });
   return vehicles;
 }
 
@@ -116,7 +119,8 @@ async function open(time, copied = []) {
   const labels = draft ?? answer.labels;
   takeSeen(answer);
   timer.start(labels.seconds);
-  model.load(labels.vehicles, labels.finished);
+  // what stands before a camera stands there at all instants: a new one begins with the regions of the one before
+  model.load(labels.vehicles, labels.finished, answer.version || draft ? labels.regions : model.regions);
   byId("saved").textContent = answer.version ? `version ${answer.version} by ${answer.author}` : "not labelled yet";
   byId("instant").value = String(time);
   store = here;
@@ -193,9 +197,10 @@ function setPlacing(on) {
   byId("labelling").classList.toggle("placing", on);
 }
 
-/** Begin a drag, or not. @param {Grip|null} grip @param {number[]} at @param {number[]|null} ground @returns {boolean} */
-function take(grip, at, ground) {
+/** Begin a drag, or not. @param {Grip|null} grip @param {number[]} at @param {number[]|null} ground @param {string|null} camera in whose picture; null in the plan @returns {boolean} */
+function take(grip, at, ground, camera) {
   timer.act(model.chosen);
+  if (!readOnly && regions.click(camera, at, ground)) return true;
   if (readOnly) { model.chosen = grip?.id ?? model.chosen; redraw(); return false; }
   if (placing && ground) {
     place(ground);
@@ -227,14 +232,14 @@ function drop() {
 }
 
 function listenPlan() {
-  plan.ondown = (world) => take(placing ? null : gripInPlan(plan, world, model.vehicles, model.current), world, world);
+  plan.ondown = (world) => take(placing ? null : gripInPlan(plan, world, model.vehicles, model.current), world, world, null);
   plan.ondrag = (world) => { if (drag) dragTo(draggedInPlan(drag.vehicle.box, drag.grip, drag.at, world)); };
   plan.onup = drop;
 }
 
 /** @param {Camera} camera @param {FrameView} view */
 function listenView(camera, view) {
-  view.ondown = (pixel) => take(placing ? null : gripInView(view, camera, pixel, model.vehicles, model.current, lateS(camera.id)), pixel, camera.ground(pixel));
+  view.ondown = (pixel) => take(placing ? null : gripInView(view, camera, pixel, model.vehicles, model.current, lateS(camera.id)), pixel, camera.ground(pixel), camera.id);
   view.ondrag = (pixel) => {
     if (!drag) return;
     const ground = drag.grip.kind === "turn" ? camera.ground(pixel) : null, { box } = drag.vehicle;
@@ -263,8 +268,8 @@ function keys(event) {
   const box = vehicle && !control && !readOnly ? boxAfterKey(vehicle.box, event) : null;
   const walk = /** @type {Object<string, () => void>} */ ({ ",": () => choose(-1), ".": () => choose(1), v: lookCloser, pageup: () => step(-1), pagedown: () => step(1) });
   const work = /** @type {Object<string, () => void>} */ ({
-    n: () => setPlacing(!placing), i: () => place(plan.centre), escape: () => setPlacing(false), delete: remove, x: () => model.update({ ignored: !vehicle?.ignored }), f: snapToFit, p: takeProposals,
-    g: () => vehicle && model.update({ box: grounded(vehicle.box) }), r: turnAround, c: () => attempt(copyOn), enter: finish,
+    n: () => setPlacing(!placing), i: () => place(plan.centre), escape: () => (regions.drawn ? regions.drop() : setPlacing(false)), b: () => regions.begin("do_not_care"), o: () => regions.begin("hidden"), delete: remove, x: () => model.update({ ignored: !vehicle?.ignored }), f: snapToFit, p: takeProposals,
+    g: () => vehicle && model.update({ box: grounded(vehicle.box) }), r: turnAround, c: () => attempt(copyOn), enter: () => (regions.drawn ? regions.end() : finish()),
   });
   const undoing = /** @type {Object<string, () => void>} */ ({ z: () => (event.shiftKey ? model.redo() : model.undo()), y: () => model.redo() });
   const act = box ? () => model.update({ box }, `keys ${key}`) : control ? (readOnly ? undefined : undoing[key]) : (walk[key] ?? (readOnly || event.altKey ? undefined : work[key]));
@@ -338,7 +343,7 @@ function listen() {
   byId("author").addEventListener("change", () => localStorage.setItem("wibam-author", byId("author").value));
   byId("set").addEventListener("change", () => attempt(async () => {
     if (!byId("set").reportValidity()) return;
-    localStorage.setItem("wibam-label-set", setName()); await store?.flush(); await loadList(); await open(timeNs); }));
+    localStorage.setItem("wibam-label-set", setName()); await store?.flush(); model.regions = []; await loadList(); await open(timeNs); }));
   byId("fields").addEventListener("submit", (/** @type {Event} */ event) => event.preventDefault());
   for (const input of byId("fields").elements) input.disabled = readOnly;
   document.addEventListener("keydown", keys, { capture: true });
@@ -374,11 +379,15 @@ async function start() {
   byId("labelling").hidden = false;
   fill(byId("views"), cameras.map((camera) => {
     const canvas = /** @type {HTMLCanvasElement} */ (h("canvas", { "aria-label": `Frame of camera ${camera.id} with labelled vehicles` }));
-    const view = new FrameView(canvas, camera.width, camera.height, (shown, context) => drawCuboids(shown, context, camera, model.vehicles, model.chosen, colours, lateS(camera.id)));
+    const view = new FrameView(canvas, camera.width, camera.height, (shown, context) => {
+      regions.drawInView(shown, context, camera);
+      drawCuboids(shown, context, camera, model.vehicles, model.chosen, colours, lateS(camera.id));
+    });
     views.set(camera.id, view);
     listenView(camera, view);
     return h("figure", null, canvas, h("figcaption", null, camera.id));
   }));
+  regions.offer(cameras.map((camera) => camera.id));
   makePanel({ classes: classes.map((one) => one.name), cameras: cameras.map((camera) => camera.id), update: (change, of) => { timer.act(model.chosen); model.update(change, of); }, current: () => model.current });
   plan.fit(cameras.flatMap((camera) => groundInView(camera, 40)), 0.03);
   attempt(() => layMap(plan, `/v1/jobs/${jobId}/map?version=${scene.map?.version}`, scene.map));
