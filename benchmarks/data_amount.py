@@ -20,7 +20,6 @@ from benchmarks.learning_options import command_of, made_rows, recording_of, sit
 from benchmarks.learning_report import caveats, save, share_of_gain
 from benchmarks.learning_rows import Row, Run, mean_of
 from benchmarks.learning_sites import (
-    CHOSEN_ON,
     Figures,
     Site,
     figures,
@@ -29,6 +28,7 @@ from benchmarks.learning_sites import (
     untrained,
     views,
 )
+from benchmarks.looks import chosen_on
 from wibam_core.config import FinetuneConfig
 from wibam_core.report.style import BASELINE, FINETUNED, new_figure, tidy
 
@@ -61,7 +61,7 @@ def runs_of(arguments: argparse.Namespace) -> Iterator[Run]:
 def row(site: Site, run: Run) -> Figures:
     """The figures of a network that learned from the first share of the training part."""
     share = run["share"]
-    about: Figures = {"chosen_on": site.number in CHOSEN_ON, "minutes": share * site.minutes, "vehicles": 0}
+    about: Figures = {"chosen_on": chosen_on(site.number), "minutes": share * site.minutes, "vehicles": 0}
     if share == 0:
         return {**about, **figures(site, untrained(site, site.usual_decode))}
     train, validation = (views(site, part, site.lifts) for part in ("train", "val"))

@@ -35,7 +35,6 @@ from benchmarks.learning_options import command_of, made_rows, recording_of, sit
 from benchmarks.learning_report import document, draw, table
 from benchmarks.learning_rows import Row, Run, joined, read_rows, width_px_of, write_rows
 from benchmarks.learning_sites import (
-    CHOSEN_ON,
     Figures,
     Site,
     Trained,
@@ -49,6 +48,7 @@ from benchmarks.learning_sites import (
     untrained,
     views,
 )
+from benchmarks.looks import chosen_on
 from wibam_core.config import FinetuneConfig
 from wibam_core.placing import Decode
 from wibam_core.stages.store import sha256_of
@@ -117,7 +117,7 @@ def options_of(method: str, seed: int, steps: int, *, custom: bool = False) -> d
 
 def row(site: Site, run: Run) -> Figures:
     """The figures of a method."""
-    about = {"chosen_on": site.number in CHOSEN_ON, "minutes": site.minutes}
+    about = {"chosen_on": chosen_on(site.number), "minutes": site.minutes}
     if run["method"] in LABELS:
         fitted = fitted_by(site, run["lift"]) if "lift" in run else site
         return {**about, "decode": "plane", **label_figures(fitted)}

@@ -41,9 +41,9 @@ def limits(rows: Sequence[Row]) -> str:
     """A list in Markdown: what these rows in particular lack, and what holds of all simulated sites."""
     points = [
         *_of_the_published_loss(rows),
-        "**Two ways to count.** The paper's lines in the figure come from an evaluation with quirks, on other footage, "
-        "and its baseline places boxes by depth, as `baseline_depth` does. The bars and all tables but the second "
-        "count correctly.",
+        "**Two ways to count.** The paper's figures come from an evaluation with quirks, on other footage: they stand "
+        "only beside what is counted as it counts (`paper_compat`: the second table, the lower part of the figure). "
+        "All else counts correctly.",
         *_of_spread(rows),
         *_OF_SIMULATION,
         *_of_the_split(rows),
@@ -59,18 +59,32 @@ def _of_the_published_loss(rows: Sequence[Row]) -> list[str]:
     said = (
         f"**The published loss had no fair trial**: `paper` ran {_times(len(tried))} (`lifted`: {_times(len(usual))}), "
         "at one learning rate that was not tuned (1e-4; `lifted`: 2.5e-3), and without labels of what was overlooked. "
-        "Its boxes are placed by the ground plane, so that `baseline_plane` is what it compares with"
+        "Here its boxes are placed by the ground plane, so that `baseline_plane` is what it compares with"
     )
-    start = {_place(row): row for row in _of(rows, "baseline_plane")}
-    pairs = [(start[_place(row)], row) for row in tried if _place(row) in start]
+    changes = _changes(rows, "baseline_plane", "paper", ("ate_m", "ase", "recall", "bev_iou", "bev_iou_misses_zero"))
+    points = [said + (f" at the same sites: {changes}" if changes else "") + "."]
+    as_published = _changes(rows, "baseline_depth", "paper_code", ("bev_iou", "ate_m", "ase"))
+    if as_published:
+        points.append(
+            "**As its code places boxes**, by depth, before and after: `baseline_depth` is the paper's baseline, and "
+            f"`paper_code` lifts it: {as_published}. That sizes get worse by this loss is what the paper reports, too "
+            "(ASE 0.12 → 0.23, as it counts)."
+        )
+    return points
+
+
+def _changes(rows: Sequence[Row], before: str, after: str, names: Sequence[str]) -> str:
+    """What figures are by one method and by another at the same sites and seeds; empty where none ran by both."""
+    start = {_place(row): row for row in _of(rows, before)}
+    pairs = [(start[_place(row)], row) for row in _of(rows, after) if _place(row) in start]
     changes = []
-    for name in ("ate_m", "recall", "bev_iou", "bev_iou_misses_zero"):
-        values = [(mean_of(before, name), mean_of(after, name)) for before, after in pairs]
+    for name in names:
+        values = [(mean_of(first, name), mean_of(last, name)) for first, last in pairs]
         known = [pair for pair in values if None not in pair]
         if known:
-            before, after = np.mean(known, axis=0)
-            changes.append(f"{_COMPARED[name][0]} {before:.3f} → {after:.3f}")
-    return [said + (f" at the same sites: {'; '.join(changes)}" if changes else "") + "."]
+            first, last = np.mean(known, axis=0)
+            changes.append(f"{_COMPARED[name][0]} {first:.3f} → {last:.3f}")
+    return "; ".join(changes)
 
 
 def _of_the_split(rows: Sequence[Row]) -> list[str]:

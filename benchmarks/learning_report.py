@@ -14,7 +14,7 @@ from matplotlib.figure import Figure
 
 from benchmarks.learning_limits import limits
 from benchmarks.learning_rows import Row, mean_of, versions, width_px_of
-from benchmarks.learning_sites import CHOSEN_ON, LOOKED_AT
+from benchmarks.looks import said_of
 from wibam_core.config import FinetuneConfig
 from wibam_core.evaluation.metrics import METRICS
 from wibam_core.report.results import PUBLISHED
@@ -93,20 +93,8 @@ def document(rows: Sequence[Row], command: str, name: str = "learning") -> str:
 
 def caveats(rows: Sequence[Row]) -> str:
     """What whoever reads these rows should know: which sites were chosen on or seen, and whether the code changed."""
-    chosen = sorted({row["run"]["site"] for row in rows if row.get("chosen_on") or row["run"]["site"] in CHOSEN_ON})
-    used = (
-        f"Used to choose methods and options, so that their figures flatter: {', '.join(map(str, chosen))}."
-        if chosen
-        else "No site was used to choose methods or options."
-    )
-    looked_at = ", ".join(str(site) for site in sorted({row["run"]["site"] for row in rows} & LOOKED_AT))
-    seen = (
-        f"Not unseen: figures of earlier versions at {looked_at} were known while the method was changed, and faults "
-        "that they showed were mended."
-        if looked_at
-        else ""
-    )
-    return " ".join(filter(None, (used, seen, versions(rows))))
+    sites = sorted({row["run"]["site"] for row in rows})
+    return " ".join(filter(None, (said_of(sites), versions(rows))))
 
 
 def methods_of(rows: Sequence[Row]) -> list[str]:
@@ -227,27 +215,38 @@ def save(figure: Figure, path: Path) -> None:
 
 
 def metrics_figure(rows: Sequence[Row]) -> Figure:
-    """Bars of the methods in each metric, with the published figures before and after as lines."""
+    """Bars of the methods in each metric: as counted correctly, and below as the published evaluation counts, with what
+    the paper reports before and after as lines; without the lower part where no row was counted so."""
     methods = methods_of(rows)
-    figure = new_figure(11.0, 1.5 + 0.3 * len(methods))
-    panels = figure.subplots(1, len(METRICS), sharey=True)
-    for axes, name in zip(panels, METRICS, strict=True):
-        for at, method in enumerate(methods):
-            values = _known([mean_of(row, name) for row in rows if row["run"]["method"] == method])
-            if values:
-                spread = np.std(values, ddof=1) if len(values) > 1 else None
-                error = {"ecolor": INK, "capsize": 2}
-                axes.barh(at, np.mean(values), 0.8, xerr=spread, color=colour_of(method), error_kw=error)
-        before, after = PUBLISHED[name]
-        _level(axes, before.mean, ":", "the paper, before (its own set)")
-        _level(axes, after.mean, "--", "the paper, after (its own set)")
-        better = "higher" if name in ("bev_iou", "iou_3d") else "lower"
-        tidy(axes, title=COLUMNS[name][0], x=f"{better} is better", grid="x")
-    panels[0].set_yticks(range(len(methods)), methods)
-    panels[0].invert_yaxis()
-    handles, labels = panels[0].get_legend_handles_labels()
-    figure.legend(handles, labels, loc="outside lower center", ncols=2, fontsize=8.5, frameon=False)
+    counted = {"correct": list(rows)}
+    if compat := [{"run": row["run"], **row["paper_compat"]} for row in rows if row.get("paper_compat")]:
+        counted["paper_compat"] = compat
+    figure = new_figure(11.0, 1.2 + (0.5 + 0.3 * len(methods)) * len(counted))
+    panels = figure.subplots(len(counted), len(METRICS), sharey=True, squeeze=False)
+    for of, (way, own) in zip(panels, counted.items(), strict=True):
+        for axes, name in zip(of, METRICS, strict=True):
+            _bars(axes, methods, own, name)
+            if way == "paper_compat":
+                before, after = PUBLISHED[name]
+                _level(axes, before.mean, ":", "the paper, before (its own set)")
+                _level(axes, after.mean, "--", "the paper, after (its own set)")
+            better = "higher" if name in ("bev_iou", "iou_3d") else "lower"
+            tidy(axes, title=f"{COLUMNS[name][0]}, {way}", x=f"{better} is better", grid="x")
+        of[0].set_yticks(range(len(methods)), methods)
+    panels[0][0].invert_yaxis()
+    handles, labels = panels[-1][0].get_legend_handles_labels()
+    if handles:
+        figure.legend(handles, labels, loc="outside lower center", ncols=2, fontsize=8.5, frameon=False)
     return figure
+
+
+def _bars(axes: Axes, methods: Sequence[str], rows: Sequence[Row], name: str) -> None:
+    for at, method in enumerate(methods):
+        values = _known([mean_of(row, name) for row in rows if row["run"]["method"] == method])
+        if values:
+            spread = np.std(values, ddof=1) if len(values) > 1 else None
+            error = {"ecolor": INK, "capsize": 2}
+            axes.barh(at, np.mean(values), 0.8, xerr=spread, color=colour_of(method), error_kw=error)
 
 
 def distance_figure(rows: Sequence[Row]) -> Figure:

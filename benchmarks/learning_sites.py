@@ -46,10 +46,6 @@ from wibam_core.training.device import choose_device_to_detect
 from wibam_core.training.finetune import SiteDataset, finetune
 from wibam_core.training.trainable import TrainableNetwork
 
-#: Sites that were looked at while methods and options were chosen: their figures flatter what was chosen.
-CHOSEN_ON = frozenset({11, 12, 13, 21, 22})
-#: Sites that nothing was chosen on, but that were measured again and again while faults that they showed were mended.
-LOOKED_AT = frozenset({501, 502, 503})
 #: A true vehicle farther than this from a cluster of rays is another one, m.
 _SAME_VEHICLE_M = 3.0
 #: What is told of the true error of a vehicle; it needs so many boxes that other views were compared with.

@@ -84,7 +84,9 @@ class Judged:
 
     Attributes:
         asked: ids of the vehicles that count. found: (F,) of these, with the errors of each: centre distance (m),
-            heading (deg), overlap of footprints. false: boxes that are no vehicle.
+            heading (deg), overlap of footprints.
+        pairs: (F, 2, 7) of each the label, moved to the time of the boxes, and the box.
+        further: (K, 7) boxes that are no vehicle.
     """
 
     asked: tuple[str, ...]
@@ -92,7 +94,13 @@ class Judged:
     ate_m: Array
     aoe_deg: Array
     bev_iou: Array
-    false: int
+    pairs: Array
+    further: Array
+
+    @property
+    def false(self) -> int:
+        """How many boxes are no vehicle."""
+        return len(self.further)
 
 
 def read_labels(labels: Path, ignored: Mapping[int, Array]) -> list[Labels]:
@@ -173,7 +181,8 @@ def judge(
         np.linalg.norm(matched_truth[:, XY] - matched[:, XY], axis=1),
         np.degrees(np.abs(normalise_angle(matched_truth[:, YAW] - matched[:, YAW]))),
         bev_iou_paired(matched_truth, matched),
-        int(left.sum()),
+        np.stack([matched_truth, matched], axis=1),
+        boxes[left],
     )
 
 

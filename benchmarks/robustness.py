@@ -22,7 +22,8 @@ from matplotlib.figure import Figure
 from benchmarks.learning_options import command_of, made_rows, recording_of, site_parser
 from benchmarks.learning_report import caveats, save
 from benchmarks.learning_rows import Row, Run, mean_of
-from benchmarks.learning_sites import CHOSEN_ON, Figures, Site, figures, finetuned_on, label_figures, views
+from benchmarks.learning_sites import Figures, Site, figures, finetuned_on, label_figures, views
+from benchmarks.looks import chosen_on
 from wibam_core.artifacts import catalogue
 from wibam_core.association.associate import associate
 from wibam_core.config import AssociateConfig, DatasetConfig, FinetuneConfig, LiftConfig
@@ -94,7 +95,7 @@ def disturbed(site: Site, kind: str, amount: float, draw: int) -> Site:
 def row(site: Site, run: Run) -> Figures:
     """The figures of one draw."""
     wrong = disturbed(site, run["kind"], run["amount"], run["draw"])
-    found: Figures = {"chosen_on": site.number in CHOSEN_ON, **label_figures(wrong)}
+    found: Figures = {"chosen_on": chosen_on(site.number), **label_figures(wrong)}
     if run["finetune"] is not None:
         train, validation = (views(wrong, part, wrong.lifts) for part in ("train", "val"))
         trained = finetuned_on(wrong, train, validation, FinetuneConfig(**run["finetune"]))

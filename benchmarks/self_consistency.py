@@ -26,7 +26,6 @@ from benchmarks.learning_options import command_of, made_rows, recording_of, sit
 from benchmarks.learning_report import caveats, save
 from benchmarks.learning_rows import Row, Run, joined, mean_of
 from benchmarks.learning_sites import (
-    CHOSEN_ON,
     OF_VEHICLE,
     Figures,
     Site,
@@ -37,6 +36,7 @@ from benchmarks.learning_sites import (
     untrained,
     views,
 )
+from benchmarks.looks import chosen_on
 from wibam_core.config import FinetuneConfig
 from wibam_core.placing import Decode
 from wibam_core.report.style import camera_colour, new_figure, tidy
@@ -94,7 +94,7 @@ def made_by(site: Site, recipe: Recipe) -> Trained:
 
 def row(site: Site, run: Run) -> Figures:
     """The figures of one network."""
-    return {"chosen_on": site.number in CHOSEN_ON, **figures(site, made_by(site, Recipe(**run["recipe"])))}
+    return {"chosen_on": chosen_on(site.number), **figures(site, made_by(site, Recipe(**run["recipe"])))}
 
 
 def both_sides(rows: Sequence[Row]) -> list[Row]:

@@ -73,7 +73,7 @@ def test_how_much_is_enough_is_told_of_amounts_that_were_tried_alone() -> None:
 def test_the_data_amount_document_and_curve(tmp_path: Path) -> None:
     text = data_amount.document(amounts(), "command")
     assert "| 25 % | 1.00 ± 0.00 | 25 ± 0 | 2 |" in text
-    assert "No site was used to choose" in text and "fits to the whole recording" in text
+    assert "(`benchmarks/looks.json`)" in text and "fits to the whole recording" in text
     data_amount.save(data_amount.curve_figure(amounts()), tmp_path / "curve.png")
     assert (tmp_path / "curve.png").stat().st_size > 5000
     assert [run["share"] for run in data_amount.runs_of(arguments(sites=[11], seeds=[0]))] == [0.0, 0.5, 1.0]

@@ -7,11 +7,23 @@ import sys
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
+from matplotlib.figure import Figure
 
 from benchmarks import learning
 from benchmarks.learning_options import command_of, site_parser
-from benchmarks.learning_report import as_published, by_distance, document, draw, options, ratios, table, verdicts
+from benchmarks.learning_report import (
+    as_published,
+    by_distance,
+    document,
+    draw,
+    metrics_figure,
+    options,
+    ratios,
+    table,
+    verdicts,
+)
 from benchmarks.learning_rows import RowFile, Run, code_version, joined, mean_of, read_rows, versions, write_rows
 from tests.unit.benchmarks.learning_figures import arguments, figures
 from wibam_core.cli.run import parse_options
@@ -255,16 +267,33 @@ def test_verdicts_count_significant_runs() -> None:
     assert not any(line.startswith("| baseline") for line in verdicts(some).splitlines())
 
 
-def test_the_document_says_which_sites_were_used_to_choose(tmp_path: Path) -> None:
-    assert "No site was used to choose" in document(rows(), "command")
-    some = [row | {"chosen_on": row["run"]["site"] == 2} for row in rows()]
-    text = document(some, "command")
-    assert "Used to choose methods and options, so that their figures flatter: 2." in text
-    later = [row | {"run": {**row["run"], "site": 13}} for row in rows()]  # chosen on since these rows were made
-    assert "so that their figures flatter: 13." in document(later, "command")
-    assert "    command" in text and by_distance(some) in text and "0–10 m" in text
-    draw(some, tmp_path)
-    assert (tmp_path / "learning.png").stat().st_size > 5000 < (tmp_path / "learning-distance.png").stat().st_size
+def test_the_document_says_which_sites_were_looked_at(tmp_path: Path) -> None:
+    unseen = document(rows(), "command")
+    assert "Not looked at before: 1, 2." in unseen and "flatter" not in unseen
+    later = [row | {"run": {**row["run"], "site": 13}} for row in rows()]
+    text = document(later, "command")
+    assert "Chosen on, so that its figures flatter: 13. " in text and "(`benchmarks/looks.json`)" in text
+    assert "    command" in text and by_distance(later) in text and "0–10 m" in text
+    draw(later, tmp_path)
+    assert {path.name for path in tmp_path.iterdir()} == {"learning.png", "learning-distance.png"}
+
+
+def test_what_the_paper_reports_stands_only_beside_what_is_counted_as_it_counts() -> None:
+    def lines(figure: Figure) -> dict[str, list[float]]:
+        """Title of a panel -> where its level lines are."""
+        found = {}
+        for axes in figure.axes:
+            levels = [
+                float(np.ravel(line.get_xdata())[0]) for line in axes.lines if line.get_linestyle() in (":", "--")
+            ]
+            found[axes.get_title(loc="left") or axes.get_title()] = levels
+        return found
+
+    assert not any(lines(metrics_figure(rows())).values())
+    counted = [row | {"paper_compat": figures(0.2)} for row in rows()]
+    found = lines(metrics_figure(counted))
+    assert {title for title, at in found.items() if at} == {title for title in found if title.endswith("paper_compat")}
+    assert len(found) == 10 and {0.12, 0.23} <= set(found["ASE, paper_compat"])
 
 
 def test_a_figure_is_a_number_or_a_mean() -> None:
@@ -280,14 +309,14 @@ def test_the_document_says_first_what_its_figures_cannot_show() -> None:
     ]
     some.append({"run": {"site": 502, "seed": 0, "method": "paper", "seconds": 90.0}, **figures(0.35)})
     text = document(some, "command")
-    assert text.index("Not unseen: figures of earlier versions at 501, 502, 503") < text.index("| method |")
+    assert text.index("Looked at before: 501, 502, 503") < text.index("| method |")
     # gains of 0.21, 0.19 and 0.20: a mean of 0.2, an s.d. of 0.01, and Student's t is 4.303 at 97.5 % and 2 degrees
     assert f"BEV IoU +0.200 ± {4.303 * 0.01 / 3**0.5:.3f}" in text
     assert "`paper` ran once (`lifted`: 3 times)" in text and "BEV IoU 0.300 → 0.350" in text
     assert "4 of 20 at site 502 and 5 of 30 at site 503" in text
 
     text = document(rows(), "command")
-    assert "no fair trial" not in text and "Not unseen" not in text and "at site 502" not in text
+    assert "no fair trial" not in text and "Looked at before" not in text and "at site 502" not in text
     one = document([row for row in rows() if row["run"]["site"] == 1], "command")
     assert "**One site**" in one and "t-intervals" not in one
 

@@ -124,9 +124,9 @@ def test_draws_have_a_mean_and_a_spread(tmp_path: Path) -> None:
     assert (mean, sd, count) == (pytest.approx(0.55), pytest.approx(0.1 / np.sqrt(2)), 2)
     text = robustness.document(disturbed_rows(), "command")
     assert "| 0.3 | 2 | 0.55 ± 0.07 |" in text and "| 0 | 1 | 0.20 |" in text
-    assert "No site was used to choose" in text
+    assert "(`benchmarks/looks.json`)" in text
     on_chosen = [{**row, "run": {**row["run"], "site": 11}} for row in disturbed_rows()]
-    assert "so that their figures flatter: 11." in robustness.document(on_chosen, "command")
+    assert "so that its figures flatter: 11." in robustness.document(on_chosen, "command")
     robustness.save(robustness.curves_figure(disturbed_rows()), tmp_path / "curves.png")
     assert (tmp_path / "curves.png").stat().st_size > 5000
 
@@ -168,7 +168,7 @@ def test_correlations_over_all_and_within_sites_and_networks() -> None:
 def test_the_consistency_document_and_figure(tmp_path: Path) -> None:
     text = self_consistency.document(networks(), "command")
     assert "| IoU in other views | BEV IoU |" in text and "1.00 / 1.00 (2)" in text
-    assert "No site was used to choose" in text
+    assert "(`benchmarks/looks.json`)" in text
     self_consistency.save(self_consistency.scatter_figure(networks()), tmp_path / "scatter.png")
     assert (tmp_path / "scatter.png").stat().st_size > 5000
 
