@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import cv2
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from wibam_core.calibration.poses import meant_by
 from wibam_core.calibration.view import check_view, is_plausible
 from wibam_core.documents.warnings import Caution
 from wibam_core.errors import CalibrationError
@@ -29,6 +28,9 @@ _OFF_CENTRE = 0.1
 _SIZE_STEP_PX = 4
 #: How far width and height of pixels may differ before it is worth a word.
 _SQUARE = 1.25
+#: Tangential coefficients (p1, p2) of lenses are smaller; of pinholes that show more than 90 degrees they are smaller
+#: than the second, and lines bend, unless the first coefficient is about zero.
+_TANGENTIAL, _FISHEYE_TANGENTIAL, _LEAST_BARREL = 0.01, 0.0015, -0.05
 #: A pixel must come back to within this of itself once its distortion is undone and done again, as far out as this
 #: share of the image's half diagonal. Published coefficients of wide lenses often fold back beyond it, in the very
 #: corners, where no board was seen; there the lens is continued (`wibam_core.geometry.distortion`).
@@ -71,7 +73,7 @@ def camera_from_matrices(
     camera = build_camera(K, dist, T_cam_world.inverse(), width_px, height_px, lens, xi)
     if is_plausible(camera):
         return camera
-    hint = _meant(camera, T_cam_world)
+    hint = " Or: ".join(sentence for sentence, _ in meant_by({"": camera})) or None
     try:
         check_view(camera)
     except CalibrationError as error:
@@ -79,18 +81,6 @@ def camera_from_matrices(
     if hint is not None:
         raise CalibrationError("rvec and tvec make a camera that is not upright", hint=hint)
     return camera
-
-
-def _meant(camera: Camera, given: SE3) -> str | None:
-    """What to do with a pose that makes no sense as ``T_cam_world``, and makes some read otherwise; else None."""
-    turned_over = SE3(np.diag([1.0, -1.0, -1.0]), np.zeros(3))
-    readings = (
-        (given, "rvec and tvec look like camera to world: give their inverse, world to camera."),
-        (SE3(given.rotation.T, given.translation), "tvec looks like the camera's position C: give -R C."),
-        (turned_over @ given.inverse(), "The world's Z axis looks to point down: change the signs of y and z."),
-    )
-    fitting = [hint for pose, hint in readings if is_plausible(replace(camera, T_world_cam=pose))]
-    return fitting[0] if len(fitting) == 1 else None
 
 
 def build_camera(
@@ -175,6 +165,10 @@ def intrinsics_cautions(camera: Camera, *, solved: bool = False) -> list[Caution
     if np.abs(off).max() > _OFF_CENTRE:
         size = size_of_intrinsics(K, width_px, height_px)
         guess = "" if size is None else f" It would be in the middle of about {size[0]}x{size[1]} px."
+        if np.abs([(K[1, 2] + 0.5) / width_px - 0.5, (K[0, 2] + 0.5) / height_px - 0.5]).max() <= _OFF_CENTRE:
+            guess = " cx and cy look swapped."
+        elif not K[:2, 2].any():
+            guess = f" In the middle it would be ({(width_px - 1) / 2:g}, {(height_px - 1) / 2:g}), not (0, 0)."
         hint = f"Is K that of another resolution or crop? It must be that of the recording.{guess}"
         if solved:
             hint = (
@@ -191,6 +185,7 @@ def intrinsics_cautions(camera: Camera, *, solved: bool = False) -> list[Caution
                 details={"principal_point_px": [float(K[0, 2]), float(K[1, 2])]},
             )
         )
+    found += distortion_cautions(camera)
     ratio = float(K[0, 0] / K[1, 1])
     if not 1 / _SQUARE <= ratio <= _SQUARE:
         found.append(
@@ -203,6 +198,37 @@ def intrinsics_cautions(camera: Camera, *, solved: bool = False) -> list[Caution
             )
         )
     return found
+
+
+def distortion_cautions(camera: Camera) -> list[Caution]:
+    """Coefficients that no pinhole has whose order and lens model are as stated."""
+    if camera.lens != "pinhole" or camera.dist.size < 4:
+        return []
+    tangential = float(np.abs(camera.dist[2:4]).max())
+    details = {"dist": camera.dist.tolist()}
+    half = np.hypot(camera.width_px, camera.height_px) / 2 / min(camera.K[0, 0], camera.K[1, 1])
+    if tangential > _FISHEYE_TANGENTIAL and not camera.dist[4:].any() and half > 1 and camera.dist[0] > _LEAST_BARREL:
+        return [
+            Caution(
+                code="lens_model",
+                message=f"the lens sees {2 * np.degrees(np.arctan(half)):.0f}° from corner to corner and hardly bends "
+                "straight lines by dist, whose last two coefficients are large: they look like those of cv2.fisheye",
+                hint='Say "lens": "fisheye" beside K and dist if cv2.fisheye made them. If they are k1, k2, p1, p2 of '
+                "cv2.calibrateCamera, all is well.",
+                details=details,
+            )
+        ]
+    if tangential > _TANGENTIAL:
+        return [
+            Caution(
+                code="distortion_order",
+                message=f"the tangential coefficients in dist, {camera.dist[2]:g} and {camera.dist[3]:g}, are larger "
+                "than those of lenses",
+                hint="The order is k1, k2, p1, p2, k3: radial ones alone are k1, k2, 0, 0, k3.",
+                details=details,
+            )
+        ]
+    return []
 
 
 _INTRINSICS_HINT = "K is [[fx, 0, cx], [0, fy, cy], [0, 0, 1]] in pixels of the recording's size."

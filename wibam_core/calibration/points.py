@@ -20,8 +20,12 @@ _STRAY_M = 1000.0
 _SMALLEST_EXTENT_M = 0.5
 #: In degrees, a site is smaller than this.
 _LARGEST_SITE_DEG = 0.01
+#: Places on Earth are so far from its middle, give or take its flattening and mountains.
+_EARTH_M, _CRUST_M = 6_370_000.0, 20_000.0
+#: No road is higher above the sea.
+_HIGHEST_M = 10_000.0
 #: Half of the points lie on the road, give or take this (it is crowned and sloped).
-_ROAD_M = 0.5
+ROAD_M = 0.5
 #: Points this high above the road, half of them or more, are counted from elsewhere: nobody surveys so many roofs.
 _ELSEWHERE_M = 10.0
 
@@ -38,8 +42,10 @@ def check_points(world: Array, pixels: Array) -> None:
         CalibrationError: fewer than four, one of them far off, all of them in a unit that is not metres, or on one line
             in the world or in the image.
     """
-    if len(world) < MIN_POINTS:
-        raise CalibrationError(f"{len(world)} correspondences are too few; at least {MIN_POINTS} are needed")
+    different = len(np.unique(np.concatenate([world, pixels], axis=1), axis=0))
+    if different < MIN_POINTS:
+        raise CalibrationError(f"{different} correspondences are too few; at least {MIN_POINTS} are needed")
+    check_projected(world)
     _check_distances(world)
     for points, where in ((world, "world"), (pixels, "image")):
         if not np.isfinite(points).all():
@@ -50,6 +56,21 @@ def check_points(world: Array, pixels: Array) -> None:
                 f"all {len(points)} points lie on one line in the {where}",
                 hint="Spread the points over the ground that vehicles use, to the left and right, near and far.",
             )
+
+
+def check_projected(world: Array) -> None:
+    """Refuse points (N, 2 or 3) that are counted from the middle of the Earth.
+
+    Raises:
+        CalibrationError: they are.
+    """
+    middle = np.median(world, axis=0)
+    if len(middle) == 3 and abs(middle[2]) > _HIGHEST_M and abs(np.linalg.norm(middle) - _EARTH_M) < _CRUST_M:
+        raise CalibrationError(
+            f"the world points lie {np.linalg.norm(middle) / 1000:.0f} km from their origin: they look like geocentric "
+            "coordinates (ECEF)",
+            hint="Project them to metres with Z up, e.g. to the UTM zone of the site with heights above the road.",
+        )
 
 
 def _check_distances(world: Array) -> None:
@@ -71,6 +92,9 @@ def _check_distances(world: Array) -> None:
     globe = (np.abs(middle[:2]) <= [180, 180]).all() and np.abs(middle[:2]).max() > 1
     if globe and extent < _LARGEST_SITE_DEG:
         unit, hint = "longitude and latitude in degrees", "Project them to metres, e.g. to the UTM zone of the site."
+    elif extent * 1000 < _SMALLEST_EXTENT_M:
+        unit = "longitude and latitude in radians"
+        hint = "Project them to metres, e.g. to the UTM zone of the site."
     else:
         unit, hint = "kilometres", "If these are kilometres, multiply them by 1000."
     raise CalibrationError(
@@ -92,7 +116,7 @@ def level_cautions(world: Array, height_m: float) -> list[Caution]:
     heights = np.sort(world[:, 2])
     lower = heights[: (len(heights) + 1) // 2]
     level, spread = float(np.median(lower)), float(lower[-1] - lower[0])
-    if abs(level) <= _ROAD_M:
+    if abs(level) <= ROAD_M:
         return []
     side = "above" if level > 0 else "below"
     message = (
@@ -108,17 +132,36 @@ def level_cautions(world: Array, height_m: float) -> list[Caution]:
     return [Caution(code="road_level", message=message, hint=hint, details={"level_m": level})]
 
 
+def repeated_point_cautions(world: Array, pixels: Array) -> list[Caution]:
+    """Correspondences (N, 3) and (N, 2) that are listed twice: they fix a camera no better than once."""
+    both = np.concatenate([world, pixels], axis=1)
+    first = np.sort(np.unique(both, axis=0, return_index=True)[1])
+    again = np.setdiff1d(np.arange(len(both)), first)
+    if not len(again):
+        return []
+    named = ", ".join(place(world[row]) for row in again[:3])
+    return [
+        Caution(
+            code="points_repeated",
+            message=f"{len(again)} of {len(both)} points are listed twice with the same pixel, e.g. {named}",
+            hint="Leave the second out, or correct it if another point was meant: it fixes the camera no better.",
+            details={"points": again.tolist()},
+        )
+    ]
+
+
 def check_on_ground(world: Array, tolerance_m: float) -> None:
     """Refuse points (N, 3) of a homography that are not on the ground.
 
     Raises:
         CalibrationError: with the offset where all lie on another plane, and the farthest point where they do not.
     """
+    check_projected(world)
     heights = world[:, 2]
     if np.abs(heights).max(initial=0.0) <= tolerance_m:
         return
     level = float(np.median(heights))
-    if np.ptp(heights) <= max(2 * _ROAD_M, abs(level) / 4) and abs(level) > tolerance_m:
+    if np.ptp(heights) <= max(2 * ROAD_M, abs(level) / 4) and abs(level) > tolerance_m:
         raise CalibrationError(
             f"all points lie around z = {level:.2f} m, but calibration kind 'homography' takes points on the road, at "
             "z = 0",

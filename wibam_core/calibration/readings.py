@@ -16,6 +16,7 @@ from wibam_core.calibration.covariance import CameraCovariance, camera_covarianc
 from wibam_core.calibration.homography import solve_ground_camera
 from wibam_core.calibration.matrices import build_camera, size_of_intrinsics
 from wibam_core.calibration.pnp import solve_pose, solve_wide_pose
+from wibam_core.calibration.points import ROAD_M
 from wibam_core.calibration.unknown_lens import LEAST_CLICK_PX, solve_unknown_lens
 from wibam_core.calibration.view import is_plausible
 from wibam_core.errors import CalibrationError
@@ -30,9 +31,20 @@ Array = NDArray[np.float64]
 _GAIN = 4.0
 _CLICK_PX = 0.5
 _GROSS_PX = 50.0
+#: What fits worse is no reading, however badly the points fit as they were given.
+_FITTING_PX = 3.0
 #: Ratios of picture sizes that people use side by side, and widths of pixels that are not square.
 _SIZE_RATIOS = (1 / 3, 0.5, 2 / 3, 0.75, 4 / 3, 1.5, 2.0, 3.0)
 _PIXEL_WIDTHS = (0.75, 4 / 3, 45 / 64, 64 / 45)
+#: Units that heights are given in beside metres on the ground.
+_HEIGHTS_M = (("feet", 0.3048), ("centimetres", 0.01), ("millimetres", 0.001))
+#: Focal lengths closer than this to that of K are not called another one.
+_OTHER_FOCAL = 0.03
+#: From worlds whose Y points up, and whose Y points down, to one whose Z points up.
+_Y_UP = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, 1.0, 0.0]])
+_Y_DOWN = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, 1.0], [0.0, -1.0, 0.0]])
+#: Web Mercator (EPSG:3857) is a sphere of this radius, m, and as wide and high as its circumference.
+_SPHERE_M = 6_378_137.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -123,7 +135,7 @@ def better_reading(given: Sighting, misfit_px: float = _GROSS_PX) -> Reading | N
         given: as the user gave it.
         misfit_px: how badly it fits so.
     """
-    best, best_px = None, max(misfit_px / _GAIN, _CLICK_PX)
+    best, best_px = None, max(min(misfit_px / _GAIN, _FITTING_PX), _CLICK_PX)
     for reading, sighting in _readings(given):
         try:
             camera, _ = sighting.solve(search=False)
@@ -132,7 +144,50 @@ def better_reading(given: Sighting, misfit_px: float = _GROSS_PX) -> Reading | N
         found_px = sighting.misfit_px(camera)
         if found_px < best_px and is_plausible(camera):
             best, best_px = reading, found_px
-    return best
+    return best or _of_focal_length(given, best_px)
+
+
+def _of_focal_length(given: Sighting, misfit_px: float) -> Reading | None:
+    """That points fit another focal length than that of K; not asked where a simpler reading fits.
+
+    Args:
+        given: as the user gave it.
+        misfit_px: what it has to fall below.
+    """
+    if given.K is None or given.lens_model != "pinhole":
+        return None
+    flat = not given.world[:, 2].any()
+    try:
+        camera, _ = replace(given, K=None, dist=np.zeros(0), solves_lens=not flat).solve(search=False)
+    except CalibrationError:
+        return None
+    ratio = float(camera.K[0, 0] / given.K[0, 0])
+    if given.misfit_px(camera) >= misfit_px or not is_plausible(camera) or abs(ratio - 1) < _OTHER_FOCAL:
+        return None
+    kind = "homography" if flat else "points"
+    return Reading(
+        f"the points fit a focal length of about {camera.K[0, 0]:.0f} px, {ratio:.2f} times that of K",
+        "Is K that of another zoom, video mode or lens? Video is often cut from the middle of what a photograph shows. "
+        f"Calibrate as it records, or leave K out and use calibration kind '{kind}'.",
+    )
+
+
+def turned_world(camera: Camera, world: Array) -> Reading | None:
+    """How a world stands that makes a camera lie on its side; None where turning it does not help.
+
+    Points fit a camera as well however the world they are counted in is turned. But half of them lie on the road.
+
+    Args:
+        camera: as solved.
+        world: (N, 3) the points, m.
+    """
+    if _on_road(world):
+        return None
+    for axis, turn in (("Y axis points up", _Y_UP), ("Y axis points down", _Y_DOWN)):
+        turned = replace(camera, T_world_cam=SE3(turn, np.zeros(3)) @ camera.T_world_cam)
+        if is_plausible(turned) and _on_road(world @ turn.T):
+            return Reading(f"the world's {axis}", "Z is up: turn the coordinates, so that the road lies at Z = 0.")
+    return None
 
 
 MIRRORED = Reading(
@@ -142,6 +197,10 @@ MIRRORED = Reading(
 )
 
 
+def _on_road(world: Array) -> bool:
+    return bool(np.median(np.abs(world[:, 2])) <= ROAD_M)
+
+
 def _readings(given: Sighting) -> Iterator[tuple[Reading, Sighting]]:
     yield MIRRORED, replace(given, world=given.world * [-1.0, 1.0, 1.0])
     if given.world[:, 2].any():
@@ -149,6 +208,7 @@ def _readings(given: Sighting) -> Iterator[tuple[Reading, Sighting]]:
         yield down, replace(given, world=given.world * [1.0, -1.0, -1.0])
         heights = Reading("heights count downwards", "Z is up: flip the sign of every z.")
         yield heights, replace(given, world=given.world * [1.0, 1.0, -1.0])
+        yield from _of_heights(given)
     u, v = given.pixels.T
     yield (
         Reading("pixels look counted from the bottom", "Pixel (0, 0) is the top left one, and v counts downwards."),
@@ -162,9 +222,34 @@ def _readings(given: Sighting) -> Iterator[tuple[Reading, Sighting]]:
         yield from _of_intrinsics(given, given.K)
 
 
+def _of_heights(given: Sighting) -> Iterator[tuple[Reading, Sighting]]:
+    """Heights in another unit than places on the ground."""
+    for unit, metres in _HEIGHTS_M:
+        heights = Reading(
+            f"heights look like {unit}, and places on the ground like metres",
+            f"All coordinates are in metres: multiply every z by {metres:g}.",
+        )
+        yield heights, replace(given, world=given.world * [1.0, 1.0, metres])
+    northing_m = float(np.median(given.world[:, 1]))
+    if 1e5 < abs(northing_m) < np.pi * _SPHERE_M:
+        shorter = 1.0 / np.cosh(northing_m / _SPHERE_M)  # the cosine of the latitude
+        mercator = Reading(
+            f"places on the ground look like Web Mercator (EPSG:3857), in which a metre is {1 / shorter:.2f} m long "
+            "here, and heights like metres",
+            "Project the points to metres that are metres, e.g. to the UTM zone of the site.",
+        )
+        yield mercator, replace(given, world=given.world * [shorter, shorter, 1.0])
+
+
 def _of_intrinsics(given: Sighting, K: Array) -> Iterator[tuple[Reading, Sighting]]:
     size = f"{given.width_px}x{given.height_px} px"
     of_K = size_of_intrinsics(K, given.width_px, given.height_px)
+    swapped = K.copy()
+    swapped[:2, 2] = K[1, 2], K[0, 2]
+    yield (
+        Reading("cx and cy look swapped in K", "K is [[fx, 0, cx], [0, fy, cy], [0, 0, 1]], cx along the width."),
+        replace(given, K=swapped),
+    )
     for ratio in _SIZE_RATIOS:
         shown = "" if of_K is None else f"; by its principal point, K is that of about {of_K[0]}x{of_K[1]} px"
         yield (

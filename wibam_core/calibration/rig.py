@@ -3,17 +3,24 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from contextlib import suppress
 from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from wibam_core.calibration.matrices import camera_from_matrices, intrinsics_cautions
-from wibam_core.calibration.points import check_on_ground, check_points, level_cautions
-from wibam_core.calibration.readings import Reading, Sighting, better_reading
+from wibam_core.calibration.points import (
+    check_on_ground,
+    check_points,
+    level_cautions,
+    repeated_point_cautions,
+)
+from wibam_core.calibration.poses import meant_by, repeated_cautions
+from wibam_core.calibration.readings import Reading, Sighting, better_reading, turned_world
 from wibam_core.calibration.residuals import Residuals, fit_cautions, misfit_problem
 from wibam_core.calibration.unknown_lens import check_told
-from wibam_core.calibration.view import GROUND_RANGE_M, check_view, view_cautions, visible_ground
+from wibam_core.calibration.view import GROUND_RANGE_M, check_view, is_plausible, view_cautions, visible_ground
 from wibam_core.calibration.views import views_of_site
 from wibam_core.config import CalibrateConfig
 from wibam_core.documents.warnings import Caution
@@ -31,6 +38,10 @@ _BESIDE = 0.01
 #: Mean misfits that clicks explain, and that they do not; between them, another reading of the numbers is a warning.
 _GOOD_PX = 1.0
 _BAD_PX = 5.0
+_PAIRS_HINT = (
+    "Check that each pixel belongs to its world point, that the world has Z up and the road at Z = 0, and that pixels "
+    "are those of the recording's size."
+)
 
 
 def calibrate(site: Site, config: CalibrateConfig) -> tuple[CameraRig, dict[str, Residuals]]:
@@ -52,8 +63,27 @@ def calibrate(site: Site, config: CalibrateConfig) -> tuple[CameraRig, dict[str,
             details = {"camera": camera.id, **error.details}
             raise CalibrationError(f"camera {camera.id}: {error.message}", hint=error.hint, **details) from error
     rig = CameraRig({camera_id: result.camera for camera_id, result in residuals.items()})
-    check_overlap(rig)
+    try:
+        check_overlap(rig)
+    except NoOverlap as error:
+        raise _meant_together(site, rig, error) from error
+    for camera_id, caution in repeated_cautions(rig.mounted).items():
+        solved = residuals[camera_id]
+        residuals[camera_id] = replace(solved, cautions=(*solved.cautions, caution))
     return CameraRig(rig.mounted, views_of_site(site, rig.mounted)), residuals
+
+
+def _meant_together(site: Site, rig: CameraRig, problem: NoOverlap) -> NoOverlap:
+    """That cameras share no ground, with the convention by which poses given as matrices would, if there is one."""
+    if not all(isinstance(camera.calibration, MatrixCalibration) for camera in site.cameras):
+        return problem
+    sentences = []
+    for sentence, cameras in meant_by(rig.mounted):
+        with suppress(NoOverlap):
+            check_overlap(CameraRig(cameras))
+            sentences.append(sentence)
+    hint = " Or: ".join([*sentences, problem.hint])
+    return NoOverlap(problem.message, hint=hint, **problem.details)
 
 
 def solve_camera(camera: SiteCamera, config: CalibrateConfig) -> Residuals:
@@ -70,15 +100,15 @@ def solve_camera(camera: SiteCamera, config: CalibrateConfig) -> Residuals:
         cautions = [*intrinsics_cautions(solved), *view_cautions(solved)]
         return Residuals.of(given.kind, solved, np.zeros((0, 3)), np.zeros((0, 2)), cautions=cautions)
     world, pixels = _arrays(given.correspondences)
-    beside = _check_pixels(pixels, width_px, height_px)
     if isinstance(given, PnPCalibration):
         lens = np.array(given.K), np.array(given.dist), given.lens, given.xi
         sighting = Sighting(world, pixels, width_px, height_px, *lens)
-    elif isinstance(given, PointsCalibration):
-        sighting = Sighting(world, pixels, width_px, height_px, None, np.zeros(0), solves_lens=True)
     else:
+        solves_lens = isinstance(given, PointsCalibration)
+        sighting = Sighting(world, pixels, width_px, height_px, None, np.zeros(0), solves_lens=solves_lens)
+    beside = [*_check_pixels(sighting), *repeated_point_cautions(world, pixels)]
+    if given.kind == "homography":
         check_on_ground(world, _GROUND_TOLERANCE_M)
-        sighting = Sighting(world, pixels, width_px, height_px, None, np.zeros(0))
     result = _solved(given.kind, sighting, config.max_error_px)
     return replace(result, cautions=(*beside, *result.cautions))
 
@@ -103,10 +133,16 @@ def _solved(kind: str, sighting: Sighting, max_error_px: float) -> Residuals:
     try:
         check_view(camera)
     except CalibrationError as error:
-        below = camera.centre_m[2] <= 0  # as good a fit as the view from above, where all points are on the ground
-        raise _meant(better_reading(sighting) if below else None, error) from error
+        if camera.centre_m[2] > 0:
+            raise
+        # as good a fit as the view from above, where all points are on the ground
+        below = CalibrationError(error.message, hint=_PAIRS_HINT, **error.details)
+        raise _meant(better_reading(sighting), below) from error
     residuals = Residuals.of(kind, camera, sighting.world, sighting.pixels, used, covariance)
     misfit_px = sighting.misfit_px(camera)
+    sideways = turned_world(camera, sighting.world) if misfit_px < _BAD_PX and not is_plausible(camera) else None
+    if sideways is not None:
+        raise CalibrationError(sideways.meaning, hint=sideways.hint)
     reading = better_reading(sighting, misfit_px) if misfit_px > _GOOD_PX else None
     problem = misfit_problem(residuals, max_error_px)
     if problem is not None:
@@ -134,28 +170,35 @@ def _arrays(correspondences: tuple[Correspondence, ...]) -> tuple[Array, Array]:
     return world, pixels
 
 
-def _check_pixels(pixels: Array, width_px: int, height_px: int) -> list[Caution]:
-    """What is doubtful about clicked pixels (N, 2).
+def _check_pixels(sighting: Sighting) -> list[Caution]:
+    """What is doubtful about clicked pixels.
 
     Raises:
-        CalibrationError: some lie outside the image.
+        CalibrationError: some lie outside the image, or all in its corner.
     """
-    size = np.array([width_px, height_px])
+    pixels, size = sighting.pixels, np.array([sighting.width_px, sighting.height_px])
+    shown = f"{sighting.width_px}x{sighting.height_px} px"
+    if len(pixels) and pixels.min() >= 0 and pixels.max() <= 1:
+        raise CalibrationError(
+            f"all pixels lie between 0 and 1: they look like shares of the picture's width and height, {shown}",
+            hint=f"Multiply u by {size[0]} and v by {size[1]}, and take half a pixel off both.",
+        )
     beyond = np.maximum(-0.5 - pixels, pixels - (size - 0.5)).max(axis=1, initial=-np.inf)
     outside = beyond > 0
     if not outside.any():
         return []
     u, v = pixels[int(beyond.argmax())]
-    message = (
-        f"{int(outside.sum())} of {len(pixels)} pixels lie outside the image of {width_px}x{height_px} px, "
-        f"e.g. ({u:.0f}, {v:.0f})"
-    )
+    message = f"{int(outside.sum())} of {len(pixels)} pixels lie outside the image of {shown}, e.g. ({u:.0f}, {v:.0f})"
     hint = (
         "Pixels are u (to the right), v (down) in the recording's size; scale them if they were clicked in a "
         "resized picture."
     )
-    if beyond.max() > _BESIDE * max(width_px, height_px):
-        raise CalibrationError(message, hint=hint)
+    if beyond.max() > _BESIDE * size.max():
+        problem = CalibrationError(message, hint=hint)
+        if (pixels.min(axis=0) < 0).all() and (np.abs(pixels) <= size / 2).all():
+            hint = f"They look counted from the middle: add {(size[0] - 1) / 2:g} to u and {(size[1] - 1) / 2:g} to v."
+            raise CalibrationError(message, hint=hint)
+        raise _meant(better_reading(sighting), problem)
     return [Caution(code="pixels_outside", message=message, hint=hint, details={"pixels": int(outside.sum())})]
 
 
@@ -187,12 +230,18 @@ def check_overlap(rig: CameraRig) -> None:
         found = next((c for c in waiting if any(_share_ground(rig, ground, c, other) for other in joined)), None)
         if found is None:
             raise NoOverlap(
-                f"camera {waiting[0]} sees no ground that another camera sees",
+                f"camera {waiting[0]} sees no ground that another camera sees; it stands "
+                f"{_apart_m(rig, waiting[0]):.0f} m from the nearest of them",
                 hint="At least two cameras must see the same ground; check that all calibrations use one world frame.",
                 camera=waiting[0],
             )
         waiting.remove(found)
         joined.append(found)
+
+
+def _apart_m(rig: CameraRig, camera_id: str) -> float:
+    own = rig[camera_id].centre_m
+    return min(float(np.linalg.norm(rig[other].centre_m - own)) for other in rig if other != camera_id)
 
 
 def _share_ground(rig: CameraRig, ground: Mapping[str, Array], one: str, other: str) -> bool:

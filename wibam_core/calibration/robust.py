@@ -57,5 +57,5 @@ def find_inliers(
                 best, best_median = errors, median
     if best is None:
         return everything
-    sigma = 1.4826 * (1.0 + 5.0 / (count - sample)) * best_median
+    sigma = 1.4826 * (1.0 + 5.0 / max(count - sample, 1)) * best_median
     return np.asarray(best <= max(_SIGMAS * sigma, _SMALLEST_PX))

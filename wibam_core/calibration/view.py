@@ -16,7 +16,7 @@ Array = NDArray[np.float64]
 GROUND_RANGE_M = 200.0
 #: Heights above the road that no camera over a road has, and those that few have.
 _POSSIBLE_HEIGHTS_M = (0.3, 500.0)
-_LIKELY_HEIGHTS_M = (1.5, 60.0)
+LIKELY_HEIGHTS_M = (1.5, 60.0)
 #: Poles, gantries and first floors. Coordinates in other units are told by the height that they would have in metres.
 _USUAL_HEIGHTS_M = (3.0, 15.0)
 _UNITS_M = (
@@ -28,6 +28,8 @@ _UNITS_M = (
 )
 #: A camera that looks straight down has no upright; this is the sine of the smallest angle to it of one that has.
 _LEVEL = 0.2
+#: Cameras on poles are level to a few degrees.
+_TURNED_DEG = 20.0
 
 
 def visible_ground(camera: Camera, steps: int = 32) -> Array:
@@ -54,7 +56,7 @@ def check_view(camera: Camera) -> None:
         )
     sees_none = len(visible_ground(camera)) == 0
     lowest_m, highest_m = _POSSIBLE_HEIGHTS_M
-    if not lowest_m <= height_m <= highest_m or (sees_none and height_m > _LIKELY_HEIGHTS_M[1]):
+    if not lowest_m <= height_m <= highest_m or (sees_none and height_m > LIKELY_HEIGHTS_M[1]):
         raise CalibrationError(f"the camera comes out {_metres(height_m)} above the ground", hint=_units_hint(height_m))
     if sees_none:
         raise CalibrationError(
@@ -69,13 +71,13 @@ def is_plausible(camera: Camera) -> bool:
         check_view(camera)
     except CalibrationError:
         return False
-    return camera.is_wide or abs(_roll_rad(camera)) < np.pi / 4
+    return camera.is_wide or abs(roll_rad(camera)) < np.pi / 4
 
 
 def view_cautions(camera: Camera) -> list[Caution]:
     """What is unusual about where a camera stands and how it is held."""
     height_m, found = float(camera.centre_m[2]), []
-    lowest_m, highest_m = _LIKELY_HEIGHTS_M
+    lowest_m, highest_m = LIKELY_HEIGHTS_M
     if not lowest_m <= height_m <= highest_m:
         found.append(
             Caution(
@@ -94,13 +96,14 @@ def view_cautions(camera: Camera) -> list[Caution]:
                 details={"height_m": height_m},
             )
         )
-    roll_deg = float(np.degrees(_roll_rad(camera)))
-    if abs(roll_deg) > 45.0 and not camera.is_wide:
+    roll_deg = float(np.degrees(roll_rad(camera)))
+    if abs(roll_deg) > _TURNED_DEG and not camera.is_wide:
         found.append(
             Caution(
                 code="rolled_camera",
                 message=f"the picture comes out turned by {abs(roll_deg):.0f}° against the horizon",
-                hint="Detectors know vehicles upright: turn the recording, or check rvec and which way pixels count.",
+                hint="Detectors know vehicles upright: turn the recording if the camera hangs so, or check which way "
+                "pixels count, and that rvec is a Rodrigues vector, not three angles.",
                 details={"roll_deg": roll_deg},
             )
         )
@@ -122,7 +125,7 @@ def _metres(height_m: float) -> str:
     return f"{height_m:.0f} m" if height_m >= 100 else f"{height_m:.3g} m"
 
 
-def _roll_rad(camera: Camera) -> float:
+def roll_rad(camera: Camera) -> float:
     """How far the picture is turned against the horizon; 0 for a camera that looks straight down."""
     right, down = camera.T_world_cam.rotation[2, :2]
     return float(np.arctan2(right, -down)) if np.hypot(right, down) > _LEVEL else 0.0
