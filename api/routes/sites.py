@@ -12,9 +12,12 @@ from api.parameters import ONLY_KNOWN_PARAMETERS
 from api.problems import documented
 from api.schemas import RecordingOut, SiteOut
 from api.services import Services, ServicesDep
+from wibam_core.adapters.amounts import amounts
 from wibam_core.artifacts import catalogue
+from wibam_core.documents.amounts import JobAmount
 from wibam_core.documents.recordings import VideoInfo
 from wibam_core.errors import WibamError
+from wibam_core.job_kind import JobKind
 from wibam_core.jobs.records import Purpose
 from wibam_core.site import Site
 
@@ -89,6 +92,14 @@ def recordings(
 def delete_recording(site_id: str, file_id: str, services: ServicesDep) -> None:
     """Jobs that were made with the file keep it until they are deleted."""
     services.sites.retire_file(site_id, file_id)
+
+
+@router.get("/{site_id}/amounts", summary="How good networks are by the amount of footage", responses=documented(404))
+def amounts_of_footage(site_id: str, services: ServicesDep) -> list[JobAmount]:
+    """Of the evaluated ones among the newest 100 jobs of the site; the smallest amount first. Jobs whose test part and
+    labels are the same can be compared: keep `dataset.train_share` + `dataset.val_share` when you vary the first."""
+    services.sites.site(site_id)
+    return amounts(services.results, services.jobs.jobs(site_id, limit=100, kind=JobKind.TRAINING))
 
 
 def _probes(services: Services, site_id: str) -> dict[str, VideoInfo]:

@@ -13,6 +13,7 @@ from tests.builders import corner_rig
 from tests.clips import clip_job
 from tests.service import LiveApi
 
+NONE = {"baseline": None, "finetuned": None}
 SCRIPT = """async ([job, camera, residuals]) => {
   const { residualFigure, trajectoryFigure } = await import("/static/js/placefigures.js");
   const { Camera } = await import("/static/js/projection.js");
@@ -75,3 +76,33 @@ def test_trajectories_are_to_scale(drawn: dict[str, Any]) -> None:
     assert driven[-2] - driven[0] == pytest.approx(49 * per_m, rel=1e-3)
     assert driven[1] == driven[-1], "Y does not change"
     assert len({colour for _, colour in drawn["paths"]}) == 2
+
+
+def test_jobs_with_another_test_part_are_not_compared(signed_in: Visit) -> None:
+    """Of four jobs one has another test part, and one is not measured: two marks before, two after."""
+    job = {
+        "test_from_s": 40,
+        "test_to_s": 50,
+        "labels": "none",
+        "labelled_instants": 0,
+        "train_vehicles": 5,
+        "name": "",
+    }
+    value = {"bev_iou_misses_zero": NONE, "recall": NONE, "other_views": {"baseline": 0.4, "finetuned": 0.7}}
+    jobs = [
+        {**job, **value, "job_id": name, "train_s": s} for name, s in (("a", 60), ("b", 180), ("c", 120), ("d", 90))
+    ]
+    jobs[2]["test_from_s"] = 30
+    jobs[3]["other_views"] = NONE
+    signed_in.page.get_by_role("heading", name="Jobs").wait_for()
+    script = """async (jobs) => {
+      const { amountFigures } = await import("/static/js/resultfigures.js");
+      const [shown] = amountFigures(jobs, "a");
+      return { before: shown.querySelectorAll("svg.chart rect").length, caption: shown.textContent,
+        after: [...shown.querySelectorAll("svg.chart circle")].map((one) => Number(one.getAttribute("cx"))),
+        alone: amountFigures(jobs, "c").length };
+    }"""
+    found = signed_in.page.evaluate(script, jobs)
+    assert (found["before"], len(found["after"]), found["alone"]) == (2, 2, 0)
+    assert found["after"][0] < found["after"][1]
+    assert "3 jobs of this site with the same test part" in found["caption"]

@@ -47,6 +47,29 @@ function coverage(kind, shares, count) {
   });
 }
 
+/**
+ * What jobs of a site that can be compared came to, by how much they learned from.
+ * @param {any[]} amounts `GET /v1/sites/{id}/amounts` @param {string} jobId whose test part and labels the others must have
+ * @returns {HTMLElement[]} none where there is nothing to compare with
+ */
+export function amountFigures(amounts, jobId) {
+  const own = amounts.find((one) => one.job_id === jobId);
+  const same = amounts.filter((one) => own && Math.abs(one.test_from_s - own.test_from_s) < 1 && Math.abs(one.test_to_s - own.test_to_s) < 1 && one.labels === own.labels && one.labelled_instants === own.labelled_instants);
+  if (same.length < 2) return [];
+  const [field, y] = own.labels === "hand" ? ["bev_iou_misses_zero", "BEV IoU, misses as 0"] : ["other_views", "IoU in other views"];
+  const series = [{ ...BEFORE, of: "baseline" }, { ...AFTER, of: "finetuned" }].map(({ of, ...how }) => {
+    const known = same.filter((one) => one[field][of] !== null);
+    return { ...how, kind: /** @type {"dots"} */ ("dots"), points: known.map((one) => /** @type {[number, number]} */ ([one.train_s / 60, one[field][of]])), titles: known.map((one) => `${one.name || one.job_id}: ${one.train_vehicles} vehicles`) };
+  });
+  return [figure({
+    title: "Amount of footage", key: series,
+    caption: `${same.length} jobs of this site with the same test part${own.labels === "hand" ? " and as many labels" : ""}, a mark each. How far jobs with the same amount lie apart is what a difference means nothing below.`,
+    chart: plot({ series, x: "footage learned from, min", y, yRange: [0, 1], label: `${y} by the amount of footage` }),
+    columns: ["job", "train_s", "train_vehicles", `baseline_${field}`, `finetuned_${field}`, "baseline_recall", "finetuned_recall"],
+    rows: same.map((one) => [one.job_id, one.train_s, one.train_vehicles, one[field].baseline, one[field].finetuned, one.recall.baseline, one.recall.finetuned]),
+  })];
+}
+
 /** @param {any} curves */
 export function trainingFigures(curves) {
   const parts = [...new Set(curves.epochs.flatMap((/** @type {any} */ epoch) => Object.keys(epoch.train)))];

@@ -2,12 +2,12 @@
 import { get, query, Results } from "../api.js";
 import { attempt, byId, fill, h, message } from "../dom.js";
 import { size } from "../format.js";
-import { jobId, showTabs, showTitle } from "../jobtabs.js";
+import { jobId, readOnly, showTabs, showTitle } from "../jobtabs.js";
 import { residualFigure, trajectoryFigure } from "../placefigures.js";
 import { Camera } from "../projection.js";
 import { beforeAfter, cameras, clocks, clockWitnesses, selfConsistency, table } from "../resulttables.js";
 import { Tracks } from "../trackdata.js";
-import { dataFigures, qualityFigures, syncFigures, trainingFigures } from "../resultfigures.js";
+import { amountFigures, dataFigures, qualityFigures, syncFigures, trainingFigures } from "../resultfigures.js";
 
 let made = new Results(jobId, []);
 
@@ -67,6 +67,13 @@ async function data() {
   return true;
 }
 
+/** Other jobs are not shared with whoever has a link to this one. @param {any} job */
+async function amounts(job) {
+  const found = readOnly || !made.has("metrics") ? [] : amountFigures(await get(`/v1/sites/${job.site_id}/amounts`), jobId);
+  if (found.length) show("amounts", figures(found));
+  return found.length > 0;
+}
+
 /** @param {any} file */
 const isFrame = (file) => file.artifact === "frames";
 /** @param {any[]} files */
@@ -92,6 +99,6 @@ attempt(async () => {
   showTabs(job);
   made = await Results.of(jobId);
   downloads();
-  const there = await Promise.all([quality(), training(), sync(), calibration(), data(), trajectories()]);
+  const there = await Promise.all([quality(), training(), sync(), calibration(), data(), amounts(job), trajectories()]);
   if (!there.includes(true)) fill(byId("nothing"), message("plain", "nothing has been made yet", "Figures appear here as stages finish."));
 });
