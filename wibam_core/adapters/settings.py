@@ -10,7 +10,6 @@ from dataclasses import dataclass, field
 from ipaddress import IPv4Network, IPv6Network, ip_network
 from pathlib import Path
 
-from wibam_core.adapters.database import sqlite_url
 from wibam_core.errors import InputError
 from wibam_core.jobs.leases import LeasePolicy
 
@@ -91,6 +90,8 @@ class ServiceSettings:
         """Raises:
         InputError: naming the first variable that is missing or wrong.
         """
+        from wibam_core.adapters.database import sqlite_url  # SQLAlchemy takes a quarter of a second to load
+
         data_dir = Path(_required(environment, "WIBAM_DATA_DIR")).absolute()
         return cls(
             data_dir=data_dir,

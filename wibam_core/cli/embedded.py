@@ -30,7 +30,6 @@ import httpx
 
 import wibam_core
 from wibam_core.adapters import confine
-from wibam_core.adapters.database import sqlite_url
 from wibam_core.adapters.settings import ServiceSettings, token_digest
 from wibam_core.errors import Conflict, InputError, ServiceUnavailable
 
@@ -83,6 +82,8 @@ class EmbeddedService:
             Conflict: another service uses the data folder, or the port is taken.
             ServiceUnavailable: there is no Redis to start, or a part of the service did not come up.
         """
+        from wibam_core.adapters.database import sqlite_url  # SQLAlchemy takes a quarter of a second to load
+
         with contextlib.ExitStack() as stack:
             self.data_dir.mkdir(mode=0o700, parents=True, exist_ok=True)
             stack.enter_context(exclusive(self.data_dir))

@@ -12,7 +12,6 @@ from rich.progress import Progress, TimeElapsedColumn
 
 from wibam_core.errors import NotFound
 from wibam_core.exchange.registry import READABLE
-from wibam_core.stages.importing import NEEDED, import_site
 
 
 def import_data(
@@ -21,6 +20,8 @@ def import_data(
     site_dir: Annotated[Path, typer.Argument(help="The site folder to make: absent or empty.")],
 ) -> None:
     """Make a site of a data set, with its frames, calibration, 2D boxes, association, split and hand labels."""
+    from wibam_core.stages.importing import NEEDED, import_site  # SciPy takes a third of a second to load
+
     able = {name: fmt for name, fmt in READABLE.items() if fmt.reads >= NEEDED}
     if format_name not in able:
         raise NotFound(f"no site can be made of {format_name!r}", hint=f"Formats for this: {', '.join(able)}.")
