@@ -5,6 +5,7 @@ from __future__ import annotations
 import threading
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
+from contextlib import nullcontext, suppress
 from itertools import pairwise
 
 import numpy as np
@@ -15,12 +16,12 @@ from wibam_core.clocks import ClockMap, SignalChange
 from wibam_core.config import SyncConfig
 from wibam_core.documents.recordings import VideoInfo
 from wibam_core.documents.synchronisation import Synchronisation
-from wibam_core.errors import MissingCamera, NoSignalChange
+from wibam_core.errors import MissingCamera, NoSignalChange, UnknownClock
 from wibam_core.formats.clocks import Clocks
 from wibam_core.progress import Progress, part
 from wibam_core.site import SiteCamera
 from wibam_core.stages.base import StageContext, Summary
-from wibam_core.stages.passing import passing
+from wibam_core.stages.passing import Passing
 from wibam_core.sync.changes import detect_changes
 from wibam_core.sync.document import LEAST_SHARE, ambiguities, doubts, sync_document
 from wibam_core.sync.segments import InSegments, Span, synchronise_segments
@@ -58,16 +59,9 @@ def run(context: StageContext, config: SyncConfig) -> Summary:
         whole = config.method == "signals"
         changes = _detect_all(context, config, whole, part(context.progress, 0.0, 1.0 if whole else 0.3))
     found = None if config.method in ("traffic", "both") else _by_lights(context, config, infos, changes)
-    if found is None:
-        rig = context.read(CALIBRATED_RIG)
-        paths = passing(context, rig, infos, config.traffic_rate_hz, part(context.progress, 0.3, 1.0))
-        found = synchronise_segments(
-            _segments_s(infos),
-            context.site.camera_ids[0],
-            changes=_confident(changes, config),
-            paths=paths,
-            max_offset_s=config.max_offset_s,
-        )
+    if found is None or not (config.method == "signals" or _is_sure(found)):
+        decides = found is not None and found.found.is_ambiguous and _is_sound(found)
+        found = _by_traffic(context, config, infos, changes, decides)
     context.progress(1.0)
     by_camera = found.found
     result = by_camera.result
@@ -86,21 +80,56 @@ def _by_lights(
     infos: Mapping[str, VideoInfo],
     changes: Mapping[str, Sequence[SignalChange]],
 ) -> InSegments | None:
-    """The lights' answer; None where the traffic is to be asked, since the lights leave something open."""
+    """The lights' answer; None where they have none, and the traffic may be asked."""
     reference = context.site.camera_ids[0]
     confident = _confident(changes, config)
-    if config.method == "signals":
+    alone = config.method == "signals"
+    if not alone and any(not confident.get(camera_id) for camera_id in infos):
+        return None
+    with nullcontext() if alone else suppress(NoSignalChange):
         return synchronise_segments(_segments_s(infos), reference, changes=confident, max_offset_s=config.max_offset_s)
-    if any(not confident.get(camera_id) for camera_id in infos):
-        return None
-    try:
-        found = synchronise_segments(_segments_s(infos), reference, changes=confident, max_offset_s=config.max_offset_s)
-    except NoSignalChange:
-        return None
-    lit = found.found
-    doubtful = lit.is_ambiguous or any(one.taken.share < LEAST_SHARE for one in lit.result.alignments.values())
-    doubtful |= any(found.assumed.values())
-    return None if doubtful else found
+    return None
+
+
+def _by_traffic(
+    context: StageContext,
+    config: SyncConfig,
+    infos: Mapping[str, VideoInfo],
+    changes: Mapping[str, Sequence[SignalChange]],
+    decides: bool,
+) -> InSegments:
+    """What the traffic and the lights say together.
+
+    Where it only ``decides`` between offsets that sound lights leave open, and the lights measure, every other frame is
+    looked at first, and the others if that does not decide.
+    """
+    passing = Passing(context, context.read(CALIBRATED_RIG), infos)
+
+    def asked(rate_hz: float, first: float, last: float) -> InSegments:
+        return synchronise_segments(
+            _segments_s(infos),
+            context.site.camera_ids[0],
+            changes=_confident(changes, config),
+            paths=passing.paths(rate_hz, part(context.progress, first, last)),
+            max_offset_s=config.max_offset_s,
+        )
+
+    if decides:
+        with suppress(NoSignalChange, UnknownClock):
+            found = asked(config.traffic_rate_hz / 2, 0.3, 0.65)
+            if _is_sure(found) and not found.found.disagreeing:
+                return found
+    return asked(config.traffic_rate_hz, 0.65 if decides else 0.3, 1.0)
+
+
+def _is_sure(found: InSegments) -> bool:
+    return _is_sound(found) and not found.found.is_ambiguous
+
+
+def _is_sound(found: InSegments) -> bool:
+    """Whether most changes that could meet do, and no segment lies where it was only assumed to."""
+    shares = [one.taken.share for one in found.found.result.alignments.values()]
+    return min(shares, default=1.0) >= LEAST_SHARE and not any(found.assumed.values())
 
 
 def _confident(changes: Mapping[str, Sequence[SignalChange]], config: SyncConfig) -> dict[str, list[SignalChange]]:
