@@ -108,7 +108,7 @@ def solve(samples: Samples, centre_s: float, drift: float) -> tuple[Array, Array
     model = _Model.of(design, observed, _own(samples), first, np.array([0.0, -drift]))
     weight = np.ones(len(first))
     for _ in range(_ROUNDS):
-        tried = [model.solved(weight, own, spread) for own in _OWN for spread in _FIELD]
+        tried = [one.solved(spread) for one in (model.without_own(weight, own) for own in _OWN) for spread in _FIELD]
         odds = np.exp([one.likely - max(other.likely for other in tried) for one in tried])
         odds /= odds.sum()
         solution = np.tensordot(odds, [one.solution for one in tried], 1)
@@ -169,22 +169,51 @@ class _Model:
             told=told,
         )
 
-    def solved(self, weight: Array, own: float, spread: float) -> _Solved:
-        """The clock, where own errors and the field are ``own`` and ``spread`` times as large as a sample's.
+    def without_own(self, weight: Array, own: float) -> _Reduced:
+        """What is left of the problem once road users' own errors are solved for.
 
         Args:
             weight: (G,) of each road user.
             own: standard deviation of a road user's own errors, in those of a sample.
-            spread: the same of the field.
         """
         inner = np.linalg.cholesky(np.linalg.inv(np.eye(self.own.shape[1]) / own**2 + self.own))
         M = (np.swapaxes(inner, 1, 2) @ self.own_design) * np.sqrt(weight)[:, None, None]
         m = np.einsum("gij,gi->gj", inner, self.own_right) * np.sqrt(weight)[:, None]
         flat = M.reshape(-1, M.shape[2])
-        A = np.tensordot(weight, self.squares, 1) - flat.T @ flat
-        b = weight @ self.right - flat.T @ m.ravel()
-        square = float(weight @ self.square - (m**2).sum())
-        count = 2.0 * float(weight @ self.sizes)
+        return _Reduced(
+            squares=np.tensordot(weight, self.squares, 1) - flat.T @ flat,
+            right=weight @ self.right - flat.T @ m.ravel(),
+            square=float(weight @ self.square - (m**2).sum()),
+            count=2.0 * float(weight @ self.sizes),
+            complexity=weight @ np.linalg.slogdet(np.eye(self.own.shape[1]) + own**2 * self.own)[1],
+            own=own,
+            told=self.told,
+        )
+
+
+@dataclass(frozen=True, eq=False)
+class _Reduced:
+    """Clock and field alone (U unknowns), where own errors have one size.
+
+    Attributes:
+        squares: (U, U). right: (U,). square: as of `_Model`, of all road users together.
+        count: of observed coordinates, by weight.
+        complexity: what that size costs in likelihood.
+        own: the size.
+        told: (2,) what is known of the clock before.
+    """
+
+    squares: Array
+    right: Array
+    square: float
+    count: float
+    complexity: float
+    own: float
+    told: Array
+
+    def solved(self, spread: float) -> _Solved:
+        """The clock, where the field is ``spread`` times as large as a sample's error."""
+        A, b, count = self.squares, self.right, self.count
         sd_m = _LEAST_SD_M
         for _ in range(3):
             prior = np.full(len(A), spread**-2.0)
@@ -193,12 +222,12 @@ class _Model:
             told[:2] = self.told
             factor = cho_factor(A + np.diag(prior), lower=True)
             solution = np.asarray(cho_solve(factor, b + prior * told))
-            left = float(square - 2 * solution @ b + solution @ A @ solution + (prior * (solution - told) ** 2).sum())
-            sd_m = max(float(np.sqrt(max(left, 0.0) / count)), _LEAST_SD_M)
+            left = self.square - 2 * solution @ b + solution @ A @ solution + (prior * (solution - told) ** 2).sum()
+            sd_m = max(float(np.sqrt(max(float(left), 0.0) / count)), _LEAST_SD_M)
         complexity = 2 * np.log(np.diag(factor[0])).sum() - np.log(prior).sum()
-        complexity += weight @ np.linalg.slogdet(np.eye(self.own.shape[1]) + own**2 * self.own)[1]
-        unusual = np.log(np.array([own, spread]) * sd_m / _USUAL_M) / np.log(_FACTOR)
-        likely = -0.5 * (left / sd_m**2 + 2 * count * np.log(sd_m) + complexity + (unusual**2).sum())
+        complexity += self.complexity
+        unusual = np.log(np.array([self.own, spread]) * sd_m / _USUAL_M) / np.log(_FACTOR)
+        likely = -0.5 * (float(left) / sd_m**2 + 2 * count * np.log(sd_m) + complexity + (unusual**2).sum())
         covariance = cho_solve(factor, np.eye(len(A), 2))[:2] * sd_m**2
         return _Solved(float(likely), solution, covariance)
 

@@ -1,15 +1,20 @@
+import cv2
+import numpy as np
 import pytest
 
 from tests.builders import corner_rig, site_of
 from tests.signal_heads import CYCLE, record, sequence
 from tests.stage_folders import StageFolders
-from wibam_core.artifacts.catalogue import CHANGES, CLOCKS, PROBE
+from tests.unit.sync.test_traffic import drives, seen
+from wibam_core.artifacts.catalogue import CALIBRATED_RIG, CHANGES, CLOCKS, PROBE
 from wibam_core.clocks import ClockMap
 from wibam_core.config import SyncConfig
+from wibam_core.detection.boxes import Found
 from wibam_core.documents.recordings import Probe
 from wibam_core.errors import MissingCamera, NoSignalChange
+from wibam_core.progress import silent
 from wibam_core.site import Site
-from wibam_core.stages import sync
+from wibam_core.stages import passing, sync
 from wibam_core.video.encode import VideoWriter
 from wibam_core.video.probe import probe
 from wibam_core.video.recording import Recording
@@ -107,3 +112,81 @@ def test_a_camera_that_was_off_for_an_unknown_time_is_found_again(tmp_path):
     assert int(clock.to_reference_ns(20 * 10**9)) / 1e9 == pytest.approx(22.0, abs=0.08)
     assert int(clock.to_reference_ns(50 * 10**9)) / 1e9 == pytest.approx(60.0, abs=0.08)
     assert not made.read(CHANGES).cameras["cam2"].assumed_from_s
+
+
+class MadeWays:
+    """Stands where the vehicles of the recordings would be searched for: ways that are made, of known times."""
+
+    def __init__(self, seen_at):
+        self.asked, self._seen_at = [], seen_at
+
+    def paths(self, rate_hz, progress):
+        self.asked.append(rate_hz)
+        rng = np.random.default_rng(5)
+        vehicles = [(0.2 * begin_s, *rest) for begin_s, *rest in drives(rng, 70)]
+        rate_hz = rate_hz if rate_hz in self._seen_at else 0.5
+        return {camera_id: seen(rng, vehicles, start_s, rate_hz=rate_hz) for camera_id, start_s in STARTS.items()}
+
+
+@pytest.mark.parametrize(("seen_at", "asked"), [((2.5, 5.0), [2.5]), ((5.0,), [2.5, 5.0])])
+def test_traffic_that_only_decides_between_cycles_is_watched_at_half_the_rate_first(
+    folder, tmp_path, monkeypatch, seen_at, asked
+):
+    """In the second case, too few sightings of a way are left at half the rate."""
+    made, told = MadeWays(seen_at), []
+    monkeypatch.setattr(sync, "Passing", lambda *_: made)
+    context = context_of(folder, tmp_path, told=told)
+    StageFolders(tmp_path).give(CALIBRATED_RIG, corner_rig(3))
+    sync.run(context, SyncConfig())
+    assert made.asked == asked
+    document = StageFolders(tmp_path).read(CHANGES)
+    assert document.method == "both" and document.cameras["cam2"].decided_by_traffic
+    assert not any(camera.ambiguous for camera in document.cameras.values())
+    clocks = StageFolders(tmp_path).read(CLOCKS)
+    for camera_id, start_s in STARTS.items():
+        mapped_s = int(clocks[camera_id].to_reference_ns(20 * 10**9)) / 1e9
+        assert mapped_s == pytest.approx(20.0 + start_s - STARTS["cam1"], abs=0.045)
+    assert told == sorted(told) and told[-1] == 1.0
+
+
+def test_traffic_that_measures_is_watched_at_the_full_rate_alone(folder, tmp_path, monkeypatch):
+    made = MadeWays((5.0,))
+    monkeypatch.setattr(sync, "Passing", lambda *_: made)
+    context = context_of(folder, tmp_path)
+    StageFolders(tmp_path).give(CALIBRATED_RIG, corner_rig(3))
+    sync.run(context, SyncConfig(method="traffic"))
+    assert made.asked == [5.0]
+
+
+class BrightDetector:
+    """Finds what is bright."""
+
+    looks = 0
+
+    def detect(self, image):
+        BrightDetector.looks += 1
+        x, y, w, h = cv2.boundingRect((image.min(axis=2) > 128).astype(np.uint8))
+        boxes = np.array([[x, y, x + w, y + h]], np.float64)
+        return Found(boxes, np.ones(1), np.zeros(1, np.int64))
+
+
+def test_what_was_seen_in_a_frame_is_kept_for_when_more_frames_are_asked_for(tmp_path, monkeypatch):
+    monkeypatch.setattr(passing, "load_detector", lambda *_, **__: BrightDetector())
+    monkeypatch.setattr(BrightDetector, "looks", 0)
+    recording, size = tmp_path / "cam1.mp4", (640, 360)
+    with VideoWriter(recording, *size, 10.0) as writer:
+        for number in range(60):
+            image = np.zeros((size[1], size[0], 3), np.uint8)
+            image[170:200, 100 + 6 * number : 150 + 6 * number] = 255
+            writer.write(image, number * 100_000_000)
+    folders = StageFolders(tmp_path / "out")
+    context = folders.context("sync", site_of(corner_rig(1)), {"cam1": Recording.at(recording)})
+    infos = {"cam1": probe(recording)}
+    watched = passing.Passing(context, corner_rig(1), infos)
+    assert len(watched.paths(2.5, silent)["cam1"]) == 1 and BrightDetector.looks == 15
+    [again] = watched.paths(5.0, silent)["cam1"]
+    assert BrightDetector.looks == 30
+    [fresh] = passing.Passing(context, corner_rig(1), infos).paths(5.0, silent)["cam1"]
+    assert BrightDetector.looks == 60 and len(fresh) == 30
+    for name, values in vars(fresh).items():
+        np.testing.assert_array_equal(getattr(again, name), values)
