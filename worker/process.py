@@ -19,6 +19,7 @@ from typing import IO, Any
 import wibam_core
 from wibam_core.adapters import confine
 from wibam_core.adapters.system_files import system_files
+from wibam_core.adapters.threads import waiting
 from wibam_core.documents.warnings import StageWarning
 from wibam_core.stages.execute import StageRequest
 
@@ -252,6 +253,7 @@ def _environment(home: Path, cache: Path) -> dict[str, str]:
     inherited = {name: os.environ[name] for name in _INHERITED if name in os.environ}
     return {
         **inherited,
+        **waiting(os.environ),
         "HOME": str(home),
         "TMPDIR": str(home),
         "XDG_CACHE_HOME": str(cache),

@@ -2,16 +2,19 @@
 
 from __future__ import annotations
 
+import os
 import sys
 
 from rich.console import Console
 from rich.markup import escape
 
+from wibam_core.adapters.threads import waiting
 from wibam_core.errors import WibamError
 
 
 def main() -> None:
     """Run the command line; an error that a person can act on is one sentence and a hint, not a traceback."""
+    os.environ |= waiting(os.environ)
     from wibam_core.cli.app import app
 
     try:

@@ -27,6 +27,8 @@ def open_session(content: Path | bytes, source: str, *, threads: int, hint: str)
     options = onnxruntime.SessionOptions()
     options.intra_op_num_threads = threads
     options.inter_op_num_threads = 1
+    # threads that wait for the next pass would keep their cores busy, which others need in between
+    options.add_session_config_entry("session.intra_op.allow_spinning", "0")
     options.log_severity_level = 4
     given = content.read_bytes() if isinstance(content, Path) else content
     if (elsewhere := _data_elsewhere(given)) is not None:

@@ -107,6 +107,19 @@ class TestConfinement:
         assert "WIBAM" not in line.text
         assert line.text.endswith(f"{tmp_path} False")
 
+    def test_threads_of_a_stage_do_not_keep_their_cores_busy_to_wait(
+        self, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    ) -> None:
+        """PyTorch is told before it loads, unless the administrator has said something else."""
+        monkeypatch.delenv("GOMP_SPINCOUNT", raising=False)
+        for said, heard in ((None, "2000"), ("7", "7")):
+            if said:
+                monkeypatch.setenv("GOMP_SPINCOUNT", said)
+            process = start(tmp_path, "import os; print(os.environ['GOMP_SPINCOUNT'])")
+            [line] = listen(process)
+            process.close()
+            assert isinstance(line, LogLine) and line.text == heard
+
     def test_a_stage_has_no_network_where_the_system_lets_us(self, tmp_path: Path) -> None:
         if not stages_can_be_offline():
             pytest.skip("this system lets no process leave its network")
