@@ -106,42 +106,44 @@ def _cpu_s(footage: Footage, config: PipelineConfig, bfloat16: bool, rounds: flo
     dataset = min(config.dataset.rate_hz * per_second, stored)
     of_test = max(1.0 - config.dataset.train_share - config.dataset.val_share, 0.0) * dataset
     tracked = min(config.track.rate_hz * per_second, stored)
-    decoded_jpeg = 0.008 * footage.stored_megapixels
-    watched = min(config.sync.traffic_rate_hz * per_second, stored)
+    decoded_jpeg = 0.003 * footage.stored_megapixels
+    found, looked_at = 0.0075, 0.0185  # an image: the detector, and the second look at what it finds
+    # where lights are watched, too, every other frame nearly always decides
+    watched = min(config.sync.traffic_rate_hz * per_second, stored) / (2 if footage.has_signals else 1)
     asks_lights = footage.has_signals and config.sync.method != "traffic"
     # which of the lights and the traffic "auto" needs depends on what they show
     asks_traffic = {"traffic": 1.0, "both": 1.0, "auto": 0.5 if footage.has_signals else 1.0}.get(config.sync.method, 0)
-    image = 0.035 * network / 0.23  # the 3D network and its second look, an image
+    image = 0.033 * network / 0.23  # the 3D network and its second look, an image
     of_val = max(config.dataset.val_share, 0.0) * footage.seconds + 2 * config.dataset.gap_s
     # associated, and fitted without each camera in turn where that judges
-    judging = (2.0 * minutes + 8.0 * min(of_val / 60, minutes)) * footage.cameras / 4
-    fitting = judging + 6.0 * minutes * config.dataset.train_share * footage.cameras / 4
+    judging = (0.7 * minutes + 3.3 * min(of_val / 60, minutes)) * footage.cameras / 4
+    fitting = judging + 2.5 * minutes * config.dataset.train_share * footage.cameras / 4
     moving = decoded_jpeg + 0.02  # silhouettes in an image, and a second look at those that are new
     teaching = 3.0 + (0.056 if bfloat16 else 0.21) * _WINDOWS * 8 * config.rounds.steps
     return {
-        "preflight": 1.0 + 1e-4 * footage.frames,
-        "calibrate": 1.0,
+        "preflight": 0.6 + 1e-4 * footage.frames,
+        "calibrate": 0.3,
         "sync": 0.0
         if config.sync.method == "none"
-        else 3.0 + asks_lights * 1.4 * decoding + asks_traffic * (decoding + 0.018 * watched),
-        "frames": 1.0 + decoding + 0.012 * footage.stored_megapixels * stored,
-        "detect": 2.0 + (0.0125 + decoded_jpeg) * searched + (config.detect.refine != "off") * 0.035 * searched,
-        "refine": 0.7 if config.refine.method == "none" else 3.0 + 9.0 * min(minutes, 5.0) * footage.cameras / 4,
-        "rounds": 1.0
+        else 0.5 + asks_lights * 1.4 * decoding + asks_traffic * (decoding + found * watched),
+        "frames": 0.5 + decoding + 0.004 * footage.stored_megapixels * stored,
+        "detect": 1.0 + (found + decoded_jpeg) * searched + (config.detect.refine != "off") * looked_at * searched,
+        "refine": 0.5 if config.refine.method == "none" else 1.0 + 4.0 * min(minutes, 5.0) * footage.cameras / 4,
+        "rounds": 0.3
         if not config.rounds.asked_for
-        else 3.0
+        else 1.5
         + judging
         + (rounds > 0) * config.rounds.motion * (moving * searched + judging)
-        + rounds * bool(config.rounds.most) * (fitting + teaching + (image + decoded_jpeg + 0.04) * searched),
-        "associate": 1.0 + 2.0 * minutes * footage.cameras / 4,
-        "dataset": 1.5,
-        "lift": 2.0 + 6.0 * minutes * footage.cameras / 4,
+        + rounds * bool(config.rounds.most) * (fitting + teaching + (image + decoded_jpeg + looked_at) * searched),
+        "associate": 0.3 + 0.7 * minutes * footage.cameras / 4,
+        "dataset": 0.3,
+        "lift": 0.5 + 2.5 * minutes * footage.cameras / 4,
         "finetune": 5.0 + _training_cpu_s(config, network, bfloat16) + decoded_jpeg * dataset,
-        "predict": 3.0 + (image + decoded_jpeg) * (tracked + of_test),
-        "evaluate": 5.0 + (image + decoded_jpeg) * of_test,
-        "track": 2.0 + 0.002 * tracked,
-        "safety": 1.5,
-        "report": 6.0 + 2.0 * minutes,
+        "predict": 1.0 + (image + decoded_jpeg) * (tracked + of_test),
+        "evaluate": 2.5 + (image + decoded_jpeg) * of_test,
+        "track": 0.4 + 0.0006 * tracked,
+        "safety": 1.0 + 1.5 * minutes,
+        "report": 3.5 + minutes,
     }
 
 

@@ -17,9 +17,9 @@ from wibam_core.stages.runner import SiteFolder
 from wibam_core.synthetic.options import SimulationOptions
 
 #: How often the speed is tried, and how long one try takes on the machine where costs were measured, s.
-_TRIES, _TRY_S = 12, 0.012
+_TRIES, _TRY_S = 20, 0.007
 #: What rendering and encoding a megapixel takes there, s.
-_RECORDING_S = 0.078
+_RECORDING_S = 0.045
 
 
 def foretold(folder: SiteFolder, config: PipelineConfig) -> dict[str, float]:
