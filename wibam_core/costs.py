@@ -108,8 +108,9 @@ def _cpu_s(footage: Footage, config: PipelineConfig, bfloat16: bool, rounds: flo
     tracked = min(config.track.rate_hz * per_second, stored)
     decoded_jpeg = 0.003 * footage.stored_megapixels
     found, looked_at = 0.0075, 0.0185  # an image: the detector, and the second look at what it finds
-    # where lights are watched, too, every other frame nearly always decides
-    watched = min(config.sync.traffic_rate_hz * per_second, stored) / (2 if footage.has_signals else 1)
+    # where the traffic only decides between cycles of the lights, every other frame is nearly always enough
+    only_decides = footage.has_signals and config.sync.method == "auto"
+    watched = min(config.sync.traffic_rate_hz / (1 + only_decides) * per_second, stored)
     asks_lights = footage.has_signals and config.sync.method != "traffic"
     # which of the lights and the traffic "auto" needs depends on what they show
     asks_traffic = {"traffic": 1.0, "both": 1.0, "auto": 0.5 if footage.has_signals else 1.0}.get(config.sync.method, 0)
