@@ -117,8 +117,10 @@ class TestEstimates:
     def test_a_stage_may_take_some_times_what_is_expected_on_a_machine_as_slow_as_it_has_shown(self) -> None:
         machine, summary = Machine(cores=2, bfloat16=False), {"shortest_s": 600.0, "frames": 60_000}
         ended = {"started_at": 0.0, "summary": summary}
+        begun = job(stage("preflight", StageState.SUCCEEDED, finished_at=1.0, **ended))
+        usual_s = pace_of(begun, machine).expected_s["preflight"]
         known = job(
-            stage("preflight", StageState.SUCCEEDED, finished_at=7.0, **ended), stage("sync", StageState.RUNNING)
+            stage("preflight", StageState.SUCCEEDED, finished_at=usual_s, **ended), stage("sync", StageState.RUNNING)
         )
         slow = job(
             stage("preflight", StageState.SUCCEEDED, finished_at=7e5, **ended), stage("sync", StageState.RUNNING)
