@@ -5,7 +5,7 @@ from __future__ import annotations
 import threading
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from contextlib import nullcontext, suppress
+from contextlib import suppress
 from itertools import pairwise
 
 import numpy as np
@@ -86,9 +86,12 @@ def _by_lights(
     alone = config.method == "signals"
     if not alone and any(not confident.get(camera_id) for camera_id in infos):
         return None
-    with nullcontext() if alone else suppress(NoSignalChange):
+    try:
         return synchronise_segments(_segments_s(infos), reference, changes=confident, max_offset_s=config.max_offset_s)
-    return None
+    except NoSignalChange:
+        if alone:
+            raise
+        return None
 
 
 def _by_traffic(
