@@ -90,10 +90,10 @@ class LiveApi:
 
 
 @contextmanager
-def live_api(settings: ServiceSettings, **serving: Any) -> Iterator[LiveApi]:
-    """Serve until the block ends."""
+def live_api(settings: ServiceSettings, port: int = 0, **serving: Any) -> Iterator[LiveApi]:
+    """Serve until the block ends, on a free port unless one is given."""
     app = create_app(settings)
-    listener = socket.create_server(("127.0.0.1", 0))
+    listener = socket.create_server(("127.0.0.1", port))
     server = uvicorn.Server(server_config(app, **{"timeout_graceful_shutdown": 2, **serving}))
     thread = threading.Thread(target=server.run, kwargs={"sockets": [listener]}, daemon=True)
     thread.start()

@@ -3,16 +3,20 @@
 from __future__ import annotations
 
 import re
+import struct
+from contextlib import ExitStack
+from hashlib import sha256
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 from PIL import Image
 
-from tests.browser.conftest import Visit
+from tests.browser.conftest import Visit, visit
 from tests.builders import look_at
 from tests.recordings import write_recording
-from tests.service import LiveApi
+from tests.service import LiveApi, live_api, settings_for
 from wibam_core.geometry.camera import Camera
 from wibam_core.stages.graph import STAGES
 
@@ -63,34 +67,57 @@ def test_chapters_are_one_recording(signed_in: Visit, api: LiveApi, tmp_path: Pa
     page = signed_in.page
     page.locator("input#files").set_input_files(chapters)
     page.locator("#queue li", has_text="done").nth(2).wait_for()
-    page.locator(".camera", has_text="GH010042.MP4, GH020042.MP4").wait_for()
+    page.locator(".camera", has_text="one recording of 2 chapters: GH010042.MP4, GH020042.MP4").wait_for()
     found = sorted((item["camera"], item["filename"]) for item in api.http.get(f"/v1/sites/{site}/recordings").json())
     assert found == [("north", "GH010042.MP4"), ("north", "GH020042.MP4"), ("south", "other.MP4")]
+    page.get_by_role("link", name="Calibrate and signals").first.click()
+    page.wait_for_function("Number(document.getElementById('time').max) > 1.8")
+    files = {item["filename"]: item["id"] for item in api.http.get(f"/v1/sites/{site}/recordings").json()}
+    with page.expect_request(re.compile(files["GH020042.MP4"] + r"/frame\?time_s=0\.5")):
+        page.locator("#time").fill("1.5")
 
 
-def test_an_upload_goes_on_after_a_reload(signed_in: Visit, api: LiveApi, recordings: list[Path]) -> None:
-    site = make_site(signed_in, "interrupted")
-    page = signed_in.page
+def test_an_upload_goes_on_after_a_reload_and_a_restarted_service(
+    playwright_browser: Any, recordings: list[Path], tmp_path: Path
+) -> None:
+    """Of a file of two pieces the first arrives. The page is loaded anew, then the service is started anew."""
+    sent = tmp_path / "north.mp4"
+    padding = 9_000_000  # of a box that players pass over
+    sent.write_bytes(recordings[1].read_bytes() + struct.pack(">I4s", padding, b"free") + bytes(padding - 8))
+    settings = settings_for(tmp_path / "service")
     pieces: list[str] = []
 
-    def stop_after_creation(route: object, request: object) -> None:
-        pieces.append(request.method)  # type: ignore[attr-defined]
-        if request.method == "PATCH" and pieces.count("PATCH") == 1:  # type: ignore[attr-defined]
-            route.abort()  # type: ignore[attr-defined]
+    def lose_all_but_the_first(route: Any, request: Any) -> None:
+        if request.method == "PATCH":
+            pieces.append(request.headers["upload-offset"])
+        if request.method == "PATCH" and len(pieces) > 1:
+            route.abort()
         else:
-            route.continue_()  # type: ignore[attr-defined]
+            route.continue_()
 
-    page.route("**/v1/uploads/**", stop_after_creation)
-    page.locator("input#files").set_input_files(recordings[:1])
-    page.get_by_role("button", name="Pause").click()
-    page.get_by_text("paused").wait_for()
-    page.reload()
-    page.locator("input#files").set_input_files(recordings[:1])
-    page.locator("#queue li", has_text="done").wait_for()
-    assert "HEAD" in pieces, "it asked where the upload stood"
-    [file] = api.http.get(f"/v1/sites/{site}/recordings").json()
-    assert file["size_bytes"] == recordings[0].stat().st_size
-    signed_in.forgive("ERR_FAILED")  # the piece that was lost
+    with ExitStack() as service:
+        api = service.enter_context(live_api(settings))
+        port = int(api.url.rpartition(":")[2])
+        with visit(playwright_browser, api.url) as tab:
+            tab.sign_in()
+            site = make_site(tab, "interrupted")
+            page = tab.page
+            page.route("**/v1/uploads/**", lose_all_but_the_first)
+            page.locator("input#files").set_input_files(sent)
+            page.locator("#queue li", has_text=re.compile(r"[1-9]\d? %")).wait_for()
+            page.get_by_role("button", name="Pause").click()
+            page.get_by_text("paused").wait_for()
+            page.reload()
+            page.locator("input#files").set_input_files(sent)
+            page.locator("#queue li", has_text=re.compile(r"[1-9]\d? %")).wait_for()  # where the upload stood
+            service.close()
+            page.unroute_all()
+            api = service.enter_context(live_api(settings, port=port))
+            page.locator("#queue li", has_text="done").wait_for()  # the page tries again by itself
+            [file] = api.http.get(f"/v1/sites/{site}/recordings").json()
+            assert file["sha256"] == sha256(sent.read_bytes()).hexdigest()
+            assert set(pieces) == {"0", "8000000"}, "nothing was sent twice"
+            tab.forgive("ERR_")
 
 
 def test_a_camera_is_calibrated_by_clicks_and_a_job_is_started(

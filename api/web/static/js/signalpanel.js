@@ -8,7 +8,7 @@ const COLOURS = /** @type {Object<string, string>} */ ({ red: "#c62828", amber: 
 
 /** The regions of one camera while they are edited. */
 export class SignalPanel {
-  /** @param {any[]} signals of the site's document @param {string|null} recording its address @param {() => void} changed @param {() => number} now the time shown, s */
+  /** @param {any[]} signals of the site's document @param {import("./footage.js").Footage|null} recording @param {() => void} changed @param {() => number} now the time shown, s */
   constructor(signals, recording, changed, now) {
     this.signals = signals.map((signal) => ({ id: signal.id, region: [...signal.region] }));
     /** What is known of each region's states, drawn: it moves into the list whenever that is made anew. @type {WeakMap<any, HTMLElement>} */
@@ -82,13 +82,13 @@ export class SignalPanel {
   look(index) {
     const signal = this.signals[index];
     if (!signal || !this.recording) return;
-    const place = this.strip(signal), region = signal.region.join(",");
+    const place = this.strip(signal), region = signal.region.join(","), { path, time, start } = this.recording.at(this.now());
     const current = () => region === signal.region.join(","); // a region that was changed meanwhile has its own answer
     fill(place, h("p.note", null, "Looking …"));
     attempt(async () => {
       try {
-        const strip = await get(`${this.recording}/signal${query({ region, start_s: Math.max(0, this.now()), duration_s: LENGTH_S })}`);
-        if (current()) fill(place, stripOf(strip));
+        const strip = await get(`${path}/signal${query({ region, start_s: time, duration_s: LENGTH_S })}`);
+        if (current()) fill(place, stripOf(strip, start));
       } catch (error) {
         if (current()) fill(place);
         throw error;
@@ -97,9 +97,10 @@ export class SignalPanel {
   }
 }
 
-/** States over time, as colours with their names. @param {any} strip */
-function stripOf(strip) {
-  if (!strip.changes.length) return h("p.note", null, `No change was seen from ${clock(strip.from_s)} to ${clock(strip.to_s)}: the region may be wrong, or the lamp did not change.`);
+/** States over time, as colours with their names. @param {any} strip of a file @param {number} start of that file in the recording, s */
+function stripOf(strip, start) {
+  const clockOf = (/** @type {number} */ seconds) => clock(start + seconds);
+  if (!strip.changes.length) return h("p.note", null, `No change was seen from ${clockOf(strip.from_s)} to ${clockOf(strip.to_s)}: the region may be wrong, or the lamp did not change.`);
   const spans = [{ from: strip.from_s, state: strip.changes[0].before }, ...strip.changes.map((/** @type {any} */ change) => ({ from: change.time_s, state: change.after }))];
   const length = strip.to_s - strip.from_s, canvas = document.createElement("canvas");
   canvas.width = 900;
@@ -116,5 +117,5 @@ function stripOf(strip) {
     context.font = "600 22px system-ui, sans-serif";
     if (x1 - x0 > 24) context.fillText(x1 - x0 > 90 ? span.state.replace("_", " ") : span.state[0].toUpperCase(), x0 + 8, 38);
   });
-  return h("div", null, canvas, h("p.note", null, `${clock(strip.from_s)} to ${clock(strip.to_s)}: ${strip.changes.length} changes, confidence ${Math.min(...strip.changes.map((/** @type {any} */ change) => change.confidence)).toFixed(2)} and more.`));
+  return h("div", null, canvas, h("p.note", null, `${clockOf(strip.from_s)} to ${clockOf(strip.to_s)}: ${strip.changes.length} changes, confidence ${Math.min(...strip.changes.map((/** @type {any} */ change) => change.confidence)).toFixed(2)} and more.`));
 }

@@ -4,6 +4,7 @@ import { attempt, byId, fill, h, message, say } from "../dom.js";
 import { clock, number } from "../format.js";
 import { drawGround, drawOnPlan, drawPoints, label } from "../calibrationdraw.js";
 import { CalibrationPanel } from "../calibrationpanel.js";
+import { Footage } from "../footage.js";
 import { FrameView } from "../frameview.js";
 import { MapPicture } from "../mappicture.js";
 import { groundInView, Plan } from "../plan.js";
@@ -11,7 +12,7 @@ import { SignalPanel } from "../signalpanel.js";
 
 const siteId = document.body.dataset.site ?? "", cameraId = document.body.dataset.camera ?? "";
 let record = /** @type {any} */ (null), dirty = false, asked = 0, fitted = false;
-let panel = /** @type {CalibrationPanel|null} */ (null), signals = /** @type {SignalPanel|null} */ (null), recording = /** @type {string|null} */ (null);
+let panel = /** @type {CalibrationPanel|null} */ (null), signals = /** @type {SignalPanel|null} */ (null), recording = /** @type {Footage|null} */ (null);
 /** @type {number[][]} */
 let measured = [];
 /** Of the site's world, where points that were read from files gave it one. */
@@ -96,7 +97,8 @@ async function showFrame() {
   try {
     for (let served = 0; served !== asked;) {
       served = asked;
-      const response = await request("GET", `${recording}/frame${query({ time_s: byId("time").value })}`);
+      const { path, time } = recording.at(Number(byId("time").value));
+      const response = await request("GET", `${path}/frame${query({ time_s: time })}`);
       view.show(await createImageBitmap(await response.blob()));
     }
   } finally {
@@ -151,8 +153,8 @@ async function start() {
   if (!description) { fill(byId("solution"), message("bad", `the site has no camera ${cameraId} any more`, "Go back to the site.")); return; }
   attempt(() => map.show(record.map));
   const files = await getAll(`/v1/sites/${siteId}/recordings`);
-  const file = files.find((/** @type {any} */ one) => one.purpose === "recording" && one.camera === cameraId);
-  recording = file ? `/v1/sites/${siteId}/recordings/${file.id}` : null;
+  const own = files.filter((/** @type {any} */ one) => one.purpose === "recording" && one.camera === cameraId).sort((a, b) => a.filename.localeCompare(b.filename));
+  recording = own.length ? new Footage(own.map((/** @type {any} */ one) => `/v1/sites/${siteId}/recordings/${one.id}`)) : null;
   view.resize(description.width_px, description.height_px);
   const now = () => Number(byId("time").value);
   signals = new SignalPanel(description.signals, recording, changed, now);
@@ -179,8 +181,9 @@ async function start() {
   byId("save").addEventListener("click", () => attempt(save));
   window.addEventListener("beforeunload", (event) => { if (dirty) event.preventDefault(); });
   if (!recording) { fill(byId("frame-note"), message("plain", "this camera has no recording yet", "Upload one on the site's page; points can be typed meanwhile.")); return; }
-  const header = await get(`${recording}/header`);
-  if (header.duration_s) byId("time").max = header.duration_s;
+  await recording.load();
+  const { header } = recording;
+  if (recording.length) byId("time").max = recording.length;
   if (header.width_px !== description.width_px || header.height_px !== description.height_px) {
     fill(byId("frame-note"), message("caution", `the recording has ${header.width_px} × ${header.height_px} px, the site says ${description.width_px} × ${description.height_px}`, "Points and regions are in the site's pixels; correct the size in the site's JSON, or upload the recording that it was made for."));
   }

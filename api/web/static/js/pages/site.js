@@ -47,7 +47,7 @@ function card(camera) {
   return h("li.card.camera", null,
     file ? h("img", { src: `/v1/sites/${siteId}/recordings/${file.id}/frame${query({ width_px: 480, time_s: 1 })}`, alt: `A frame of camera ${camera.id}`, loading: "lazy" }) : h("div.blank", null, "no recording yet"),
     h("div.row.spread", null, h("h3", null, camera.id), h("span.row", null, record.cameras[0] === camera.id ? h("span.chip", null, "reference") : null, calibrated)),
-    h("p.note", null, file ? `${all.map((one) => one.filename).join(", ")} · ${size(all.reduce((sum, one) => sum + one.size_bytes, 0))}` : "", file?.probe ? ` · ${duration(file.probe.duration_s)} · ${file.probe.codec}` : "", ` · ${camera.width_px} × ${camera.height_px} px · ${camera.signals.length} signal region${camera.signals.length === 1 ? "" : "s"}`),
+    h("p.note", null, file ? `${all.length > 1 ? `one recording of ${all.length} chapters: ` : ""}${all.map((one) => one.filename).join(", ")} · ${size(all.reduce((sum, one) => sum + one.size_bytes, 0))}` : "", file?.probe ? ` · ${duration(file.probe.duration_s)} · ${file.probe.codec}` : "", ` · ${camera.width_px} × ${camera.height_px} px · ${camera.signals.length} signal region${camera.signals.length === 1 ? "" : "s"}`),
     state?.problem ? h("p.note", null, sentence(state.problem.message), " ", state.problem.hint) : null,
     state?.cautions.map((caution) => h("p.note", null, sentence(caution.message), " ", caution.hint)),
     h("div.row", null, h("a.button", { href: page }, "Calibrate and signals"),

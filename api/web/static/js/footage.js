@@ -1,0 +1,34 @@
+// A camera's recording on one scale of time, be it one file or several chapters.
+import { get } from "./api.js";
+
+/** The files of a recording, in their order. */
+export class Footage {
+  /** @param {string[]} paths addresses of the files */
+  constructor(paths) {
+    this.parts = paths.map((path) => ({ path, start: 0, length: 0 }));
+    /** @type {any} of the first file */
+    this.header = null;
+  }
+
+  /** Ask how long the files are; until then all times are of the first. */
+  async load() {
+    const headers = await Promise.all(this.parts.map((part) => get(`${part.path}/header`)));
+    this.header = headers[0];
+    let start = 0;
+    headers.forEach((header, index) => {
+      Object.assign(this.parts[index], { start, length: header.duration_s });
+      start += header.duration_s;
+    });
+  }
+
+  /** Length of all, s; 0 where no header says it. */
+  get length() {
+    return this.parts.reduce((sum, part) => sum + part.length, 0);
+  }
+
+  /** The file that shows a time of the whole, and when in it. @param {number} time s */
+  at(time) {
+    const part = this.parts.findLast((one) => one.start <= time && (one.length > 0 || one === this.parts[0])) ?? this.parts[0];
+    return { path: part.path, time: Math.max(0, time - part.start), start: part.start };
+  }
+}
