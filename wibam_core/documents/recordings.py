@@ -80,6 +80,12 @@ class VideoInfo(Document):
     """Those of them whose stamp is far from those around."""
     hidden_frames: int = 0
     """Frames that the file itself says are not to be shown (edit list)."""
+    lead_in_frames: int = 0
+    """Frames before the first that decodes by itself, where the recording begins between two of these."""
+    missing_s: float = 0.0
+    """How much earlier the pictures end than the header says, where it gives no number of frames."""
+    captured_fps: float | None = None
+    """The rate at which the camera took pictures, where the file says it: of slow motion more than `fps`."""
     mirrored: bool = False
     """Left and right are exchanged when shown, before the turn."""
     stored_px: tuple[int, int] | None = None

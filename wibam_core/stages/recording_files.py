@@ -22,20 +22,24 @@ def find_recording(folder: Path, camera: SiteCamera) -> Recording | None:
     that the site lists.
 
     Raises:
-        SiteFileError: there are several files, and no folder or list says that they belong together.
+        SiteFileError: there are several files, and no folder or list says that they belong together; or there is none
+            where it should lie, but one deeper or under the id in other letters.
         MissingCamera: a file that the site lists is not there.
     """
     own = folder / camera.id
     if camera.recordings:
         return Recording(tuple(_listed(folder, camera, name) for name in sorted(camera.recordings)))
-    single = sorted(path for path in folder.glob(f"{camera.id}.*") if path.is_file())
+    single = sorted(path for path in folder.glob(f"{camera.id}.*") if path.is_file() and not _is_beside(path))
     if own.is_dir():
         inside = sorted(path for path in own.iterdir() if path.is_file() and not _is_beside(path))
         if inside and single:
             raise _ambiguous(camera, [*single, *inside])
-        return Recording.at(*inside) if inside else None
+        if inside or single:
+            return Recording.at(*inside, *single)
     if len(single) > 1:
         raise _ambiguous(camera, single)
+    if not single:
+        _check_elsewhere(folder, camera)
     return Recording.at(single[0]) if single else None
 
 
@@ -77,6 +81,29 @@ def _listed(folder: Path, camera: SiteCamera, name: str) -> RecordingFile:
         camera=camera.id,
         file=name,
     )
+
+
+def _check_elsewhere(folder: Path, camera: SiteCamera) -> None:
+    """Raises:
+    SiteFileError: a camera without a recording has one where nobody looks.
+    """
+    own = folder / camera.id
+    deeper = sorted(path for path in own.glob("*/**/*") if path.is_file() and not _is_beside(path))
+    if deeper:
+        raise SiteFileError(
+            f"camera {camera.id} has no recording in {own.name}/, but deeper: {deeper[0].relative_to(own)}",
+            hint=f"Move its files into recordings/{camera.id}/ itself.",
+            camera=camera.id,
+        )
+    others = sorted(folder.iterdir()) if folder.is_dir() else []
+    for path in others:
+        named = path.name.split(".")[0]
+        if named != camera.id and named.strip().lower() == camera.id.lower() and not _is_beside(path):
+            raise SiteFileError(
+                f"camera {camera.id} has no recording, but there is {path.name!r}",
+                hint=f"Call it {camera.id}{path.name[len(named) :]}: letter case and blanks count.",
+                camera=camera.id,
+            )
 
 
 def _ambiguous(camera: SiteCamera, paths: list[Path]) -> SiteFileError:

@@ -11,6 +11,10 @@ from wibam_core.documents.warnings import Caution
 _LONGEST_GAP_S = 1.0
 #: More than this share of a recording's frames unused is worth a word.
 _UNUSED_SHARE = 0.02
+#: Less than this of what a header promised is rounding, s.
+_LEAST_MISSING_S = 1.0
+#: Rates that differ by more than this share are two, and no dropped frames.
+_OTHER_RATE = 0.25
 _NAMED = 5
 
 
@@ -26,6 +30,14 @@ def _of_frames(info: VideoInfo) -> Iterator[Caution]:
             message=f"the file was cut off; its last {info.missing_frames} frames are missing",
             hint="Copy the file from the camera again if what is missing matters; the rest is used.",
             details={"frames": info.missing_frames},
+        )
+    if info.missing_s > max(_UNUSED_SHARE * (info.duration_s + info.missing_s), _LEAST_MISSING_S):
+        yield Caution(
+            code="cut_off",
+            message=f"by its header it lasts {info.missing_s:.1f} s longer than there are pictures: it was cut off, or "
+            "something else in it lasts longer, such as sound",
+            hint="Copy the file from the camera again if what is missing matters; the rest is used.",
+            details={"missing_s": info.missing_s},
         )
     if info.missing_files:
         names = ", ".join(info.missing_files[:_NAMED]) + (" and others" if len(info.missing_files) > _NAMED else "")
@@ -52,6 +64,17 @@ def _of_frames(info: VideoInfo) -> Iterator[Caution]:
             hint="Copy the file from the camera again, or export it anew with its time stamps.",
             details={"frames": info.unused_frames, "share": share},
         )
+    for frames, code, what in (
+        (info.hidden_frames, "frames_hidden", "are hidden by the file's edit list, as players hide them"),
+        (info.lead_in_frames, "lead_in", "come before the first one that can be decoded by itself"),
+    ):
+        if frames > _UNUSED_SHARE * (info.frames + frames):
+            yield Caution(
+                code=code,
+                message=f"{frames} frames, {frames / (info.frames + frames):.0%} of the file, {what}, and are left out",
+                hint="Nothing need be done if the recording was cut so; else export it anew.",
+                details={"frames": frames, "share": frames / (info.frames + frames)},
+            )
     if info.video_tracks > 1:
         yield Caution(
             code="several_video_tracks",
@@ -86,6 +109,15 @@ def _of_time(info: VideoInfo) -> Iterator[Caution]:
             message=f"where {_files(rough)} begins is known by the file's date or name alone, to a second or so",
             hint="Check the synchronisation after that moment.",
             details={"at_s": [segment.first_ns / 1e9 for segment in rough]},
+        )
+    captured = info.captured_fps
+    if captured is not None and abs(captured / info.fps - 1) > _OTHER_RATE:
+        yield Caution(
+            code="other_speed",
+            message=f"the camera took {captured:.4g} pictures a second, and the file shows {info.fps:.4g}: time runs "
+            f"{captured / info.fps:.3g} times as slowly in it",
+            hint="Record at normal speed, or export it with its true rate: speeds and times come out wrong otherwise.",
+            details={"captured_fps": captured, "fps": info.fps},
         )
     if not info.has_clock:
         yield Caution(

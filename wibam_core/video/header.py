@@ -10,6 +10,9 @@ import av
 from wibam_core.errors import UnreadableVideo
 from wibam_core.video.source import open_video
 
+#: Fewer bytes a second hold no video: a header that says so is wrong.
+_LEAST_BYTES_S = 100.0
+
 
 @dataclass(frozen=True)
 class SaidLength:
@@ -30,6 +33,6 @@ def said_length(path: Path) -> SaidLength | None:
             rate = float(stream.average_rate or stream.guessed_rate or 0)
     except UnreadableVideo:
         return None
-    if not (seconds > 0 and rate > 0):
+    if not (seconds > 0 and rate > 0) or path.stat().st_size < _LEAST_BYTES_S * seconds:
         return None
     return SaidLength(seconds, stream.frames or round(seconds * rate))

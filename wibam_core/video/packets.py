@@ -36,6 +36,8 @@ _MPEG_PERIOD_NS = 2**33 / 90_000 * 1e9
 #: Containers with a place in decoding order for each frame, and no stamp that says when it is shown.
 _BY_DECODING_ORDER = ("avi", "h264", "hevc")
 _NO_CLOCK = ("h264", "hevc")
+#: Containers whose header says when the recording ends, and not how many frames it has.
+_SAYING = ("matroska", "flv", "asf")
 #: Sequence headers within a packet: MPEG-1 and 2 (size only), H.264 and H.265 parameter sets behind a start code, and
 #: the start of frame of JPEG.
 _HEADER = re.compile(
@@ -90,6 +92,8 @@ class FilePackets:
             the decoder has read what was before; not among ``numbers``.
         unstamped: frames without a (sane) stamp.
         missing: frames that the file's index names and that are not there.
+        said_ns: when its header says that it ends, on its own clock; None where it does not say, or is not to be asked.
+        captured_fps: the rate that its header says the camera took pictures at; None where it does not say.
         has_clock: False where the file knows no times, and the usual rate was assumed.
         looks: what some of its pictures look like, by packet, ascending, where it changes; at least one, if asked for.
         tracks: how many video tracks may be the recording.
@@ -111,6 +115,8 @@ class FilePackets:
     lead_in_ns: IntArray
     unstamped: int
     missing: int
+    said_ns: int | None
+    captured_fps: float | None
     has_clock: bool
     looks: dict[int, Look]
     tracks: int
@@ -181,6 +187,8 @@ def read_packets(file: RecordingFile, *, look: bool) -> FilePackets:
             lead_in_ns=stamps[: reader.lead_in],
             unstamped=reader.unstamped,
             missing=missing,
+            said_ns=container.duration * 1000 if name in _SAYING and container.duration else None,
+            captured_fps=_captured_fps(container, stream),
             has_clock=name not in _NO_CLOCK,
             looks=looks,
             tracks=len(video_streams(container)),
@@ -294,6 +302,15 @@ def _created_ns(container: InputContainer, stream: VideoStream) -> int | None:
             time = time if time.tzinfo else time.replace(tzinfo=UTC)
             if time.year > 1980:  # 1904 and 1970 are clocks that were never set
                 return round(time.timestamp() * 1e6) * 1000
+    return None
+
+
+def _captured_fps(container: InputContainer, stream: VideoStream) -> float | None:
+    """What Android's cameras write: of slow motion another rate than that of the stamps."""
+    said = {key.lower(): value for key, value in (*container.metadata.items(), *stream.metadata.items())}
+    with suppress(ValueError):
+        rate = float(said.get("com.android.capture.fps", "nan"))
+        return rate if np.isfinite(rate) and rate > 0 else None
     return None
 
 

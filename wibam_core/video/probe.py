@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from wibam_core.documents.recordings import SizeChange, VideoInfo
 from wibam_core.errors import UnreadableVideo
-from wibam_core.video.packets import Look
+from wibam_core.video.packets import FilePackets, Look
 from wibam_core.video.picture import Size
 from wibam_core.video.recording import Recording
 from wibam_core.video.timeline import UNUSED, TimedFile, Timeline, read_timeline
@@ -19,6 +19,8 @@ from wibam_core.video.timeline import UNUSED, TimedFile, Timeline, read_timeline
 _RATE_TOLERANCE = 0.1
 #: A recording whose timestamps span more has wrong timestamps.
 _MAX_HOURS = 48
+#: Frames a second of a camera over a road; stamps that say less or more are in another unit.
+_SLOWEST_HZ, _FASTEST_HZ = 0.5, 1000.0
 #: Pictures whose aspect ratios differ by more than this share show different things.
 _ASPECT_TOLERANCE = 0.01
 
@@ -47,11 +49,18 @@ def measure(recording: Path | Recording, size_px: Size | None = None) -> tuple[V
     timeline = read_timeline(recording, look=True)
     times_ns = timeline.times_ns
     named = timeline.files[0].packets.file.name
+    intervals_ns = np.diff(times_ns)
+    usual_ns = _usual_interval_ns(intervals_ns)
+    if not _SLOWEST_HZ <= 1e9 / usual_ns <= _FASTEST_HZ:
+        raise UnreadableVideo(
+            f"by their time stamps, the frames of {named} lie {usual_ns / 1e9:.3g} s apart: {1e9 / usual_ns:.3g} a "
+            "second",
+            hint="The stamps are damaged or in another unit than the file says. Export the recording anew with the "
+            f"camera's rate; between {_SLOWEST_HZ:g} and {_FASTEST_HZ:g} frames a second can be used.",
+        )
     hours = float(times_ns[-1] - times_ns[0]) / 3.6e12
     if hours > _MAX_HOURS:
         raise UnreadableVideo(f"the timestamps of {named} span {hours:.0f} hours: they are damaged")
-    intervals_ns = np.diff(times_ns)
-    usual_ns = _usual_interval_ns(intervals_ns)
     looks = _looks(timeline)
     (width, height), changes = _one_size(looks, size_px, named)
     first, packets = looks[0][1], timeline.files[0].packets
@@ -77,6 +86,9 @@ def measure(recording: Path | Recording, size_px: Size | None = None) -> tuple[V
         unused_frames=timeline.unused,
         stray_frames=timeline.stray,
         hidden_frames=sum(file.packets.hidden for file in timeline.files),
+        lead_in_frames=len(packets.lead_in),
+        missing_s=sum(_missing_s(file.packets, usual_ns) for file in timeline.files),
+        captured_fps=packets.captured_fps,
         mirrored=first.orientation.mirrored,
         stored_px=None if first.upright_px == (width, height) else first.upright_px,
         pixel_aspect=float(first.pixel_aspect),
@@ -87,6 +99,14 @@ def measure(recording: Path | Recording, size_px: Size | None = None) -> tuple[V
         video_tracks=max(file.packets.tracks for file in timeline.files),
     )
     return info, times_ns
+
+
+def _missing_s(packets: FilePackets, usual_ns: float) -> float:
+    """How much earlier a file's pictures end than its header says, s; 0 for less than one picture."""
+    if packets.said_ns is None:
+        return 0.0
+    missing_ns = packets.said_ns - (int(packets.stamps_ns.max()) + usual_ns)
+    return float(missing_ns) / 1e9 if missing_ns > usual_ns else 0.0
 
 
 def _looks(timeline: Timeline) -> list[tuple[int, Look]]:

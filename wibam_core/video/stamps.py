@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,6 +23,12 @@ _STRAY_NS = _S // 2
 #: A step that is a multiple of the counter's period but for this is the counter's wrapping.
 _WRAP_TOLERANCE_NS = 60 * _S
 _BLOCK = 64
+#: So many stray stamps in a row, each on a clock of its own, are passed over.
+_LOOK_AHEAD = 13
+#: A clock that was set back shows the time that passed to within this share.
+_SET_BACK_SHARE = 0.1
+#: More steps back than this are no reordering.
+_BACKWARDS = 0.6
 
 
 @dataclass(frozen=True, eq=False)
@@ -79,8 +85,8 @@ def sort_stamps(times_ns: IntArray) -> Sorted:
     """Find the segments of a file, and bring them onto one clock, the first one's.
 
     A lasting jump backwards, or forwards by more than an hour, is a clock that was set: how long the camera was off is
-    unknown, and its frames are put right behind those before. A shorter jump forwards is a time without frames. A few
-    frames on another clock have stray stamps.
+    unknown, and its frames are put right behind those before. A shorter jump forwards is a time without frames. A clock
+    that was set back again shows by its stamps that no time was lost. A few frames on another clock have stray stamps.
 
     Args:
         times_ns: (N,) stamps in decoding order, N ≥ 2.
@@ -93,11 +99,19 @@ def sort_stamps(times_ns: IntArray) -> Sorted:
     stretches, stray = _without_stray(times_ns, _runs(times_ns, steps), steps)
     times, kept = times_ns.copy(), np.zeros(len(times_ns), dtype=bool)
     segments: list[Stretch] = []
+    shifts_ns: list[int] = []
     last_ns = shift_ns = 0
-    for stretch in stretches:
+    goes_on = _set_and_set_back(times_ns, stretches, usual_ns)
+    for number, found in enumerate(stretches):
+        stretch = found if number not in goes_on.away else replace(found, jump_before=True)
         of_it = times_ns[stretch.indices]
-        if stretch.jump_before:
+        before = goes_on.after.get(number)
+        if before is not None:
+            shift_ns = max(shifts_ns[before], last_ns + usual_ns - int(of_it.min()))
+            stretch = replace(stretch, jump_before=False)
+        elif stretch.jump_before:
             shift_ns = last_ns + usual_ns - int(of_it.min())
+        shifts_ns.append(shift_ns)
         times[stretch.indices] = of_it + shift_ns
         used = stretch.indices[_distinct(of_it, reordered)]
         kept[used] = True
@@ -141,13 +155,13 @@ def _without_stray(times_ns: IntArray, runs: Sequence[IntArray], steps: _Steps) 
         first_ns = int(times_ns[run].min())
         ends, short = at + 1 == len(runs), len(run) <= steps.few
         if not joined:
-            if short and not ends and len(runs[at + 1]) > steps.few and _is_set(times_ns, run, runs[at + 1]):
+            if short and not ends and len(runs[at + 1]) > steps.few and _is_apart(times_ns, run, runs[at + 1]):
                 stray += len(run)
                 at += 1
                 continue
             joined.append(([run], False))
             frames = 0
-        elif (back := _returns(times_ns, last_ns, runs[at : at + 4], steps)) is not None:
+        elif (back := _returns(times_ns, last_ns, runs[at : at + _LOOK_AHEAD], steps)) is not None:
             stray += sum(len(passed) for passed in runs[at : at + back])
             at += back
             run = runs[at]
@@ -156,7 +170,7 @@ def _without_stray(times_ns: IntArray, runs: Sequence[IntArray], steps: _Steps) 
             joined[-1][0].append(run)
         else:
             jumped = not 0 < first_ns - last_ns <= LONGEST_PAUSE_NS
-            if jumped and short and ends and frames > steps.few:
+            if short and ends and frames > steps.few:
                 stray += len(run)
                 break
             joined.append(([run], jumped))
@@ -167,10 +181,46 @@ def _without_stray(times_ns: IntArray, runs: Sequence[IntArray], steps: _Steps) 
     return [Stretch(np.concatenate(parts), jumped) for parts, jumped in joined], stray
 
 
-def _is_set(times_ns: IntArray, before: IntArray, after: IntArray) -> bool:
-    """Whether the clock was set between two runs."""
+@dataclass(frozen=True)
+class _GoesOn:
+    """Stretches that go on with the clock of an earlier one, and those between, on a clock that was set meanwhile.
+
+    Attributes:
+        after: number of a stretch -> number of the earlier one.
+        away: numbers of those between.
+    """
+
+    after: dict[int, int]
+    away: frozenset[int]
+
+
+def _set_and_set_back(times_ns: IntArray, stretches: Sequence[Stretch], usual_ns: int) -> _GoesOn:
+    """Find clocks that were set and set back: from before to after, just the time passed that frames between take."""
+    firsts = [int(times_ns[stretch.indices].min()) for stretch in stretches]
+    lasts = [int(times_ns[stretch.indices].max()) for stretch in stretches]
+    after: dict[int, int] = {}
+    away: set[int] = set()
+    for number in range(2, len(stretches)):
+        between_ns = usual_ns
+        for before in range(number - 2, -1, -1):
+            between_ns += usual_ns * len(stretches[before + 1].indices)
+            passed_ns = firsts[number] - lasts[before]
+            if before not in away and abs(passed_ns - between_ns) <= _SET_BACK_SHARE * between_ns + usual_ns:
+                after[number] = before
+                away |= set(range(before + 1, number))
+                break
+    return _GoesOn(after, frozenset(away))
+
+
+def run_backwards(times_ns: IntArray) -> bool:
+    """Whether stamps (N,) in decoding order descend; where frames are reordered, at most half of their steps do."""
+    return float((np.diff(times_ns) < 0).mean()) > _BACKWARDS
+
+
+def _is_apart(times_ns: IntArray, before: IntArray, after: IntArray) -> bool:
+    """Whether the clock was set between two runs, or nothing was seen for long."""
     step = int(times_ns[after].min()) - int(times_ns[before].max())
-    return step <= 0 or step > LONGEST_PAUSE_NS
+    return step <= 0 or step > SEGMENT_PAUSE_NS
 
 
 def _returns(times_ns: IntArray, last_ns: int, runs: Sequence[IntArray], steps: _Steps) -> int | None:

@@ -15,7 +15,7 @@ from wibam_core.video.chapters import Named, in_order
 from wibam_core.video.packets import FilePackets, read_packets
 from wibam_core.video.recording import Recording
 from wibam_core.video.sampling import nearest_times
-from wibam_core.video.stamps import LONGEST_PAUSE_NS, REORDER_FRAMES, Sorted, sort_stamps
+from wibam_core.video.stamps import LONGEST_PAUSE_NS, REORDER_FRAMES, Sorted, run_backwards, sort_stamps
 
 IntArray = NDArray[np.int64]
 PlacedBy = Literal["stamps", "timecode", "chapter", "creation_time", "name", "stated", "assumed"]
@@ -101,6 +101,11 @@ def read_timeline(recording: Recording, *, look: bool = False) -> Timeline:
         if len(packets.stamps_ns) < 2 or packets.stamps_ns.min() == packets.stamps_ns.max():
             raise UnreadableVideo(
                 f"{packets.file.name} holds {len(packets.stamps_ns)} frames with a timestamp: that is no recording"
+            )
+        if run_backwards(packets.stamps_ns):
+            raise UnreadableVideo(
+                f"the time stamps of {packets.file.name} run backwards",
+                hint="Take the recording as the camera made it, or export it anew, forwards.",
             )
     if recording.is_dated:
         read.sort(key=lambda packets: _started_ns(packets))

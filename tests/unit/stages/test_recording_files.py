@@ -1,6 +1,7 @@
 """Where the files of a camera's recording lie in a site folder."""
 
 import json
+import re
 from pathlib import Path
 
 import pytest
@@ -53,6 +54,25 @@ def test_a_file_and_a_folder_of_one_camera_are_refused(tmp_path: Path) -> None:
     with pytest.raises(SiteFileError, match=r"several recordings: cam2\.mp4, a\.mp4") as refused:
         folder_with(tmp_path, "cam1.mp4", "cam2.mp4", "cam2/a.mp4")
     assert "recordings/cam2/" in refused.value.hint
+
+
+def test_what_a_camera_writes_beside_its_only_recording_is_passed_over(tmp_path: Path) -> None:
+    folder = folder_with(tmp_path, "cam1.MP4", "cam1.SRT", "cam1.LRV", "cam1.v2.jpg", "cam2.north side.v2.mkv")
+    assert (names_of(folder, "cam1"), names_of(folder, "cam2")) == (["cam1.MP4"], ["cam2.north side.v2.mkv"])
+
+
+@pytest.mark.parametrize(
+    ("name", "words"),
+    [
+        ("CAM2.mp4", "there is 'CAM2.mp4'"),
+        ("cam2 .mp4", "there is 'cam2 .mp4'"),
+        ("cam2/DCIM/100GOPRO/GX010001.MP4", "deeper: DCIM/100GOPRO/GX010001.MP4"),
+    ],
+)
+def test_a_recording_where_nobody_looks_is_named(tmp_path: Path, name: str, words: str) -> None:
+    with pytest.raises(SiteFileError, match=re.escape(words)) as refused:
+        folder_with(tmp_path, "cam1.mp4", name)
+    assert "cam2" in refused.value.hint
 
 
 @pytest.mark.parametrize("names", [["a.mp4", "a.mp4"], ["../a.mp4"], ["x\\a.mp4"], [""], [".."]])

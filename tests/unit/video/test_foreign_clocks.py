@@ -109,20 +109,40 @@ def test_a_raw_stream_is_read_in_order_and_its_rate_doubted(tmp_path: Path) -> N
     assert codes(info) == ["no_clock"]
 
 
-def test_a_trimmed_mp4_hides_its_lead_in_without_a_warning(tmp_path: Path) -> None:
+def test_a_trimmed_mp4_is_not_cut_off_and_a_long_lead_in_that_it_hides_is_said(tmp_path: Path) -> None:
     whole = write(tmp_path / "a.mp4", range(72), b_frames=2, key_every=48)
     info, _, numbers = read(copy(whole, tmp_path / "b.mp4", shift_s=-1.0))
     assert numbers == [*range(24, 72)]
     assert (info.hidden_frames, info.missing_frames) == (24, 0)
-    assert codes(info) == []
+    [caution] = cautions_of(info)
+    assert caution.code == "frames_hidden" and "24 frames, 33% of the file" in caution.message
+    assert codes(info.model_copy(update={"hidden_frames": 1})) == ["frames_hidden"]  # of 49
+    assert codes(info.model_copy(update={"hidden_frames": 1, "frames": 60})) == []
 
 
 def test_a_recording_that_begins_between_key_frames_is_normal(tmp_path: Path) -> None:
     whole = write(tmp_path / "a.ts", range(72))
-    info, times_ns, numbers = read(copy(whole, tmp_path / "b.ts", keep=lambda number, _: number >= 7))
+    info, times_ns, numbers = read(copy(whole, tmp_path / "b.ts", keep=lambda number, _: number >= 23))
     assert numbers == [*range(24, 72)]
     assert_true_times(times_ns, numbers)
-    assert codes(info) == []
+    assert (info.lead_in_frames, codes(info)) == (1, ["lead_in"])  # 1 of 49 is said, as all beyond 2 %
+    assert codes(info.model_copy(update={"frames": 60})) == []
+
+
+def test_a_matroska_file_that_was_cut_off_is_said_by_how_much(tmp_path: Path) -> None:
+    whole = write(tmp_path / "a.mkv", range(120), key_every=12).read_bytes()
+    (tmp_path / "b.mkv").write_bytes(whole[: len(whole) * 8 // 10])
+    info, _, numbers = read(tmp_path / "b.mkv")
+    assert numbers == [*range(len(numbers))] and 36 < len(numbers) < 110
+    [caution] = cautions_of(info)
+    assert caution.code == "cut_off" and caution.details["missing_s"] == pytest.approx(5 - len(numbers) / FPS, abs=0.05)
+
+
+def test_slow_motion_is_told_by_what_the_camera_wrote(tmp_path: Path) -> None:
+    for taken, expected in (("240.0", ["other_speed"]), ("24.000000", []), ("0", [])):
+        metadata = {"com.android.capture.fps": taken}
+        info, _, _ = read(write(tmp_path / "a.mkv", metadata=metadata))
+        assert codes(info) == expected
 
 
 def test_negative_first_stamps_are_normal(tmp_path: Path) -> None:
