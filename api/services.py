@@ -13,6 +13,7 @@ from api.figures import Figures
 from api.sessions import Passes, ReportLinks
 from wibam_core.adapters.audit_store import AuditStore
 from wibam_core.adapters.clip_store import ClipStore
+from wibam_core.adapters.comparing import Comparing
 from wibam_core.adapters.counters import Watch
 from wibam_core.adapters.database import Database
 from wibam_core.adapters.files import DataFolder
@@ -67,6 +68,7 @@ class Services:
     runs: Runs
     site_tracks: SiteTracks
     maps: SiteMaps
+    comparing: Comparing
     webhooks: WebhookStore
     webhook_sender: WebhookSender
 
@@ -108,6 +110,7 @@ class Services:
             runs=Runs(models, jobs, sites, folder, stages),
             site_tracks=SiteTracks(database, jobs, results, folder),
             maps=SiteMaps(database, sites, folder, glimpses),
+            comparing=Comparing(models, jobs, results, folder, glimpses),
             webhooks=webhooks,
             webhook_sender=WebhookSender(webhooks, settings.webhook_networks),
         )

@@ -20,6 +20,7 @@ from api.schemas import JobOut
 from api.services import ServicesDep
 from api.times import parse_time
 from wibam_core.adapters.runs import RunRequest
+from wibam_core.documents.comparison import NetworkComparison
 from wibam_core.errors import InputError, NotFound
 from wibam_core.job_kind import JobKind
 from wibam_core.jobs.records import ModelState
@@ -69,6 +70,25 @@ def keep(body: ModelIn, services: ServicesDep, request: Request, response: Respo
         raise InputError("a model comes from a job or from a file", hint="Send job_id, or site_id and file_id.")
     response.headers["Location"] = address(request, f"/v1/models/{model.id}")
     return ModelOut.of(model)
+
+
+@router.get(
+    "/compare",
+    summary="Compare two models",
+    dependencies=[ONLY_KNOWN_PARAMETERS],
+    responses=documented(404, 409, 422, 503),
+)
+def compare(
+    services: ServicesDep,
+    first: Annotated[str, Query(max_length=64, description="id of a model")],
+    second: Annotated[str, Query(max_length=64, description="id of another one")],
+) -> NetworkComparison:
+    """Both on the same held-out instants: those of both jobs' test parts, judged by the same cameras, annotations and
+    labels, which are the second's. Differences are its figures less the
+    first's, with intervals by resampling vehicles. Their jobs must have worked
+    on the same recordings.
+    """
+    return services.comparing.compare(first, second)
 
 
 @router.get("/{model_id}", summary="Look at a model", responses=documented(404))

@@ -15,7 +15,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from wibam_core.adapters.glimpses import GlimpseRequest
+from wibam_core.adapters.glimpses import ComparisonInputs, GlimpseRequest
 from wibam_core.errors import InputError, WibamError
 from wibam_core.formats.model_card import read_card
 from wibam_core.video.seeking import frames_from, read_header
@@ -35,6 +35,8 @@ def main(request: GlimpseRequest) -> tuple[dict[str, object], bytes]:
         return _network(request)
     if request.look == "map":
         return _map(request)
+    if request.comparison is not None:
+        return _comparison(request.comparison), b""
     if request.look == "header":
         header = read_header(request.path)
         return dict(vars(header)), b""
@@ -52,6 +54,39 @@ def _network(request: GlimpseRequest) -> tuple[dict[str, object], bytes]:
 
     network = load_network(request.path)
     return {"card": network.card.model_dump(mode="json")}, network.onnx() or b""
+
+
+def _comparison(inputs: ComparisonInputs) -> dict[str, object]:
+    """Of two networks on the instants that neither learned from."""
+    from wibam_core.artifacts import catalogue  # these take longer to import than a frame takes to decode
+    from wibam_core.artifacts.access import ArtifactReader
+    from wibam_core.evaluation.comparison import compare_networks, held_out_from_both
+    from wibam_core.evaluation.labels_at import LabelTimeline
+    from wibam_core.evaluation.labels_of_views import labels_of_views
+    from wibam_core.formats.labels import read_labels
+    from wibam_core.formats.tables import class_named
+
+    first, second = ArtifactReader(inputs.first), ArtifactReader(inputs.second)
+    rig = second.read(catalogue.RIG)
+    instants = held_out_from_both(
+        first.read(catalogue.FRAMES).frame_sets,
+        second.read(catalogue.FRAMES).frame_sets,
+        first.read(catalogue.SPLIT).times_ns["test"],
+        second.read(catalogue.SPLIT).times_ns["test"],
+    )
+    labels = None if inputs.labels is None else LabelTimeline(labels_of_views(read_labels(inputs.labels), rig))
+    compared = compare_networks(
+        first.read(catalogue.PREDICTIONS_FINETUNED),
+        second.read(catalogue.PREDICTIONS_FINETUNED),
+        instants,
+        second.read(catalogue.ANNOTATIONS),
+        rig,
+        inputs.config,
+        labels,
+        {class_named(name) for name in inputs.known},
+        inputs.cautions,
+    )
+    return compared.model_dump(mode="json")
 
 
 def _map(request: GlimpseRequest) -> tuple[dict[str, object], bytes]:

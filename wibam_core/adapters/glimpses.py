@@ -15,6 +15,7 @@ from pydantic import BaseModel, ConfigDict
 import wibam_core
 from wibam_core.adapters import confine
 from wibam_core.adapters.system_files import system_files
+from wibam_core.config import EvaluateConfig
 from wibam_core.errors import InputError, InvalidWeights, ServiceUnavailable, UnreadableVideo, WibamError
 from wibam_core.site import SignalRegion
 
@@ -24,26 +25,61 @@ _INHERITED = ("PATH", "LANG", "LC_ALL", "TZ", "LD_LIBRARY_PATH", "VIRTUAL_ENV")
 _SLOWER_TO_START = 4
 
 
+class ComparisonInputs(BaseModel):
+    """What two networks are compared by (`wibam_core.evaluation.comparison`).
+
+    Attributes:
+        first: stage -> its outputs, of the one network's job. second: of the other's, whose cameras and annotations
+            both are judged by.
+        labels: by hand.
+        config: how they are judged.
+        known: classes that both know.
+        cautions: what makes it less than fair.
+    """
+
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+    first: dict[str, Path]
+    second: dict[str, Path]
+    labels: Path | None
+    config: EvaluateConfig
+    known: tuple[str, ...]
+    cautions: tuple[str, ...]
+
+    @property
+    def reads(self) -> tuple[Path, ...]:
+        """All that the process may read."""
+        labels = () if self.labels is None else (self.labels,)
+        return (*self.first.values(), *self.second.values(), *labels)
+
+
 class GlimpseRequest(BaseModel):
     """What to look for.
 
     Attributes:
         look: "header", the "frame" at a time, or the "signals" of a stretch; of a file of weights the "network"; of a
-            picture from above the "map".
+            picture from above the "map"; of two networks' jobs their "comparison".
         path: of the file, the service's own.
         start_ns: on the recording's clock. duration_ns: of the stretch.
         width_px: the frame is no wider.
+        comparison: what it is made of.
         regions: of signals.
     """
 
     model_config = ConfigDict(extra="forbid", frozen=True)
 
-    look: Literal["header", "frame", "signals", "network", "map"]
+    look: Literal["header", "frame", "signals", "network", "map", "comparison"]
     path: Path
     start_ns: int = 0
     duration_ns: int = 0
     width_px: int | None = None
     regions: tuple[SignalRegion, ...] = ()
+    comparison: ComparisonInputs | None = None
+
+    @property
+    def reads(self) -> tuple[Path, ...]:
+        """All that the process may read."""
+        return (self.path, *(() if self.comparison is None else self.comparison.reads))
 
 
 class Glimpses:
@@ -83,6 +119,8 @@ class Glimpses:
         except ValueError:
             if request.look == "network":
                 raise InvalidWeights("the file could not be read as a network") from None
+            if request.look == "comparison":
+                raise InputError("the two networks could not be compared", hint="Restart their jobs.") from None
             if request.look == "map":
                 raise InputError(
                     "the picture could not be decoded", hint="Save it as PNG or JPEG, of the intersection alone."
@@ -98,7 +136,7 @@ class Glimpses:
 def _command(request: GlimpseRequest) -> list[str]:
     shim = [sys.executable, "-I", "-S", confine.__file__, "--parent", str(os.getpid()), "--nice", "5"]
     program = [sys.executable, "-P", "-m", "wibam_core.adapters.glimpse", request.model_dump_json()]
-    reads = [*system_files(), f"--read={request.path.resolve()}"]
+    reads = [*system_files(), *(f"--read={path.resolve()}" for path in request.reads)]
     return [*shim, "--offline", "--expendable", "--limited", *reads, "--", *program]
 
 

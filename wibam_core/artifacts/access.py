@@ -53,6 +53,19 @@ class ArtifactReader:
         """A file with the artifact on this machine, for libraries that open files themselves. Nobody changes it."""
         return self._folders[artifact.stage] / artifact.file
 
+    def folder(self, stage: str) -> Path:
+        """The outputs of a stage.
+
+        Raises:
+            Conflict: they are not at hand.
+        """
+        if stage not in self._folders:
+            raise Conflict(
+                f"there are no outputs of the stage {stage}",
+                hint="Wait until it has ended, or restart the job from it.",
+            )
+        return self._folders[stage]
+
     def manifest(self, stage: str) -> Manifest:
         """What the store knows about a stage that has made something."""
         return Manifest.model_validate_json((self._folders[stage] / MANIFEST).read_bytes())

@@ -14,6 +14,8 @@ from wibam_core.cli.run import parse_options
 from wibam_core.cli.service import DEFAULT_URL, Token, Url, connect
 from wibam_core.cli.service import watch as watch_job
 from wibam_core.client import ModelView
+from wibam_core.documents.base import MeanSd
+from wibam_core.documents.metrics import Significance
 
 app = typer.Typer(help="Keep a site's networks, and run them on new footage.", no_args_is_help=True)
 ModelId = Annotated[str, typer.Argument(help="The id of a model.")]
@@ -118,10 +120,47 @@ def run(
 
 
 @app.command()
+def compare(
+    first: ModelId,
+    second: Annotated[str, typer.Argument(help="The id of another model.")],
+    url: Url = DEFAULT_URL,
+    token: Token = "",
+) -> None:
+    """Compare two models on the instants that neither learned from."""
+    console = Console()
+    with connect(url, token) as client:
+        found = client.compare_models(first, second)
+    console.print(
+        f"{found.instants} held-out instants, {found.from_s:.1f} to {found.to_s:.1f} s, {found.frames} frames",
+        highlight=False,
+    )
+    rows = [
+        (
+            "IoU in other views",
+            *_three(found.first.consistency.other_views, found.second.consistency.other_views, found.other_views),
+        )
+    ]
+    if found.first.figures is not None and found.second.figures is not None and found.significance is not None:
+        for name, title in (("bev_iou", "BEV IoU"), ("ate_m", "ATE (m)"), ("aoe_deg", "AOE (deg)")):
+            of = (getattr(found.first.figures, name), getattr(found.second.figures, name), found.significance[name])
+            rows.append((title, *_three(*of)))
+    print_rows(("figure",), ("first", "second", "difference (95 %)"), rows)
+    for caution in found.cautions:
+        console.print(f"[yellow]caution[/] {escape(caution)}", highlight=False)
+
+
+@app.command()
 def delete(model_id: ModelId, url: Url = DEFAULT_URL, token: Token = "") -> None:
     """Delete a model. What it found stays."""
     with connect(url, token) as client:
         client.delete_model(model_id)
+
+
+def _three(first: MeanSd, second: MeanSd, test: Significance) -> tuple[str, str, str]:
+    means = ["–" if one.mean is None else f"{one.mean:.3f}" for one in (first, second)]
+    if test.difference is None or test.low is None or test.high is None:
+        return means[0], means[1], "–"
+    return means[0], means[1], f"{test.difference:+.3f} ({test.low:+.3f} to {test.high:+.3f})"
 
 
 def _camera_and_file(text: str) -> tuple[str, Path]:

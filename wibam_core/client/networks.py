@@ -13,6 +13,7 @@ from wibam_core.client.views import (
     JobView,
     ModelView,
 )
+from wibam_core.documents.comparison import NetworkComparison
 from wibam_core.jobs.records import Purpose
 
 #: A network is opened before it is kept, which on a busy machine takes long.
@@ -44,6 +45,13 @@ class NetworkRequests(Requests):
         """Call a network something; make it "promoted", "retired" or a "candidate" again."""
         body = {key: value for key, value in (("name", name), ("state", state)) if value is not None}
         return ModelView.model_validate(self._connection.json("PATCH", f"/v1/models/{model_id}", json=body))
+
+    def compare_models(self, first_id: str, second_id: str) -> NetworkComparison:
+        """Two networks on the same held-out instants."""
+        found = self._connection.json(
+            "GET", "/v1/models/compare", params={"first": first_id, "second": second_id}, timeout=_CHECK_TIMEOUT_S
+        )
+        return NetworkComparison.model_validate(found)
 
     def delete_model(self, model_id: str) -> None:
         self._connection.request("DELETE", f"/v1/models/{model_id}")

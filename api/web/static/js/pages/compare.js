@@ -1,5 +1,5 @@
 // Two jobs side by side: figures, options that differ, how long stages took, what they warn of.
-import { get, getAll, query, Results } from "../api.js";
+import { get, getAll, Problem, query, Results } from "../api.js";
 import { attempt, byId, fill, h, message, sentence } from "../dom.js";
 import { bars, figure } from "../chart.js";
 import { meanSd, number, percent, when } from "../format.js";
@@ -41,6 +41,30 @@ function consistency(a, b) {
     { cells: [["IoU in other views", meanSd(of(a)?.other_views), meanSd(of(b)?.other_views)], ["Sightings found", percent(of(a)?.found), percent(of(b)?.found)], ["Conflicts", a.conflicts?.conflicts.length ?? "–", b.conflicts?.conflicts.length ?? "–"]] });
 }
 
+/** The networks of two jobs on the instants that neither learned from. @param {any} a @param {any} b */
+async function sameInstants(a, b) {
+  if (a.job.id === b.job.id) return h("p.note", null, "This is one and the same network.");
+  const recordings = (/** @type {any} */ one) => JSON.stringify(one.job.files.filter((/** @type {any} */ file) => file.camera).map((/** @type {any} */ file) => [file.camera, file.sha256]).sort());
+  if (recordings(a) !== recordings(b)) return h("p.note", null, "The jobs worked on different recordings: there are no instants on which both networks can be judged.");
+  const [first, second] = await Promise.all([a, b].map(async (one) => (await get(`/v1/models${query({ job: one.job.id, limit: 1 })}`))[0]));
+  if (!first || !second) return h("p.note", null, "Both jobs must have made a network.");
+  let found;
+  try { found = await get(`/v1/models/compare${query({ first: first.id, second: second.id })}`); } catch (error) {
+    if (error instanceof Problem && error.status === 409) return h("p.note", null, `${sentence(error.message)} ${error.hint}`);
+    throw error;
+  }
+  const between = (/** @type {any} */ test, /** @type {number} */ digits) => (test.difference === null ? "–" : `${test.difference > 0 ? "+" : ""}${number(test.difference, digits)} (${number(test.low, digits)} to ${number(test.high, digits)})`);
+  const cells = [["IoU in other views", meanSd(found.first.consistency.other_views), meanSd(found.second.consistency.other_views), between(found.other_views, 3)]];
+  const rows = [["other_views", found.first.consistency.other_views.mean, found.second.consistency.other_views.mean, found.other_views.difference]];
+  if (found.significance) for (const [title, field, digits] of METRICS) {
+    if (!found.significance[field]) continue;
+    cells.push([title, meanSd(found.first.figures[field], digits), meanSd(found.second.figures[field], digits), between(found.significance[field], digits)]);
+    rows.push([field, found.first.figures[field].mean, found.second.figures[field].mean, found.significance[field].difference]);
+  }
+  const cautions = found.cautions.map((/** @type {string} */ one) => sentence(one)).join(" ");
+  return table("On the same held-out instants", ["", `A: ${nameOf(a.job)}`, `B: ${nameOf(b.job)}`, "B − A (95 % interval)"], rows, { cells, note: `${found.instants} instants from ${number(found.from_s, 1)} to ${number(found.to_s, 1)} s, of which neither network learned; intervals by resampling vehicles. ${cautions}` });
+}
+
 /** @param {any} a @param {any} b */
 function times(a, b) {
   const names = a.job.stages.map((/** @type {any} */ stage) => stage.name), of = (/** @type {any} */ one) => names.map((/** @type {string} */ name) => { const stage = one.job.stages.find((/** @type {any} */ other) => other.name === name); return stage?.state === "succeeded" ? stage.seconds : null; });
@@ -62,8 +86,11 @@ async function compare() {
   history.replaceState(null, "", location.pathname + query({ a: x, b: y }));
   const [a, b, options] = await Promise.all([load(x), load(y), get("/v1/options")]);
   const differing = differences(a.job, b.job, options.defaults);
-  fill(byId("compared"), h("div.cards", null, warnings(a, "A"), warnings(b, "B")), h("h2", null, "How good the networks are"), quality(a, b), h("h2", null, "What needs no labels"), consistency(a, b),
+  fill(byId("compared"), h("div.cards", null, warnings(a, "A"), warnings(b, "B")), h("h2", null, "How good the networks are"), quality(a, b), h("div", { id: "same" }), h("h2", null, "What needs no labels"), consistency(a, b),
     h("h2", null, "Options that differ"), differing.length ? table("Options", ["Option", "A", "B"], differing) : h("p.note", null, "None."), h("div.figure-grid", null, times(a, b)));
+  const same = byId("same");
+  fill(same, h("p.note", null, "Both networks are judged on the instants that neither learned from …"));
+  fill(same, await sameInstants(a, b)); // of the jobs that stand there now, whatever was chosen meanwhile
 }
 
 attempt(async () => {
