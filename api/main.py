@@ -7,17 +7,16 @@ import logging
 import os
 from collections.abc import AsyncIterator
 from contextlib import asynccontextmanager
-from typing import Any
 
 from fastapi import FastAPI
-from fastapi.openapi.utils import get_openapi
 from starlette.concurrency import run_in_threadpool
 from starlette.middleware.cors import CORSMiddleware
 
-from api.access import REQUEST_ID, is_protected, needed_scope
+from api.access import REQUEST_ID
 from api.housekeeping import Housekeeper
+from api.openapi import document_of
 from api.paging import LINK
-from api.problems import Problem, add_handlers, documented
+from api.problems import add_handlers
 from api.routes import (
     access,
     clips,
@@ -38,7 +37,6 @@ from api.routes import (
 )
 from api.security import Gate
 from api.services import Services
-from api.sessions import SESSION_COOKIE
 from api.telemetry import Telemetry
 from api.tus import TUS_RESPONSE_HEADERS, TusHeaders
 from api.web.pages import add_pages
@@ -124,7 +122,7 @@ def create_app(settings: ServiceSettings) -> FastAPI:
     ):
         app.include_router(router)
     add_pages(app)
-    app.openapi = lambda: _openapi(app)  # type: ignore[method-assign]
+    app.openapi = lambda: document_of(app)  # type: ignore[method-assign]
     app.add_middleware(Gate, token_sha256=settings.token_sha256, passes=services.passes, keys=services.keys)
     app.add_middleware(TusHeaders)
     if settings.cors_origins:
@@ -158,40 +156,3 @@ def create() -> FastAPI:
     gc.collect()
     gc.freeze()
     return app
-
-
-def _openapi(app: FastAPI) -> dict[str, Any]:
-    """The OpenAPI document, with what FastAPI cannot know: the token and the form of errors."""
-    if app.openapi_schema is None:
-        document = get_openapi(
-            title=app.title,
-            version=app.version,
-            summary=app.summary,
-            description=app.description,
-            license_info=app.license_info,
-            routes=app.routes,
-        )
-        components = document["components"]
-        components["schemas"]["Problem"] = Problem.model_json_schema()
-        for unused in ("HTTPValidationError", "ValidationError"):
-            components["schemas"].pop(unused, None)
-        components["securitySchemes"] = {
-            "token": {"type": "http", "scheme": "bearer"},
-            "session": {"type": "apiKey", "in": "cookie", "name": SESSION_COOKIE},
-        }
-        for path, operations in document["paths"].items():
-            for method, operation in operations.items():
-                _with_problems(operation)
-                if is_protected(method.upper(), path):
-                    scope = needed_scope(method.upper(), path).value
-                    operation["security"] = [{"token": [scope]}, {"session": []}]
-                    operation["responses"].setdefault("403", documented(403)[403])
-        app.openapi_schema = document
-    return app.openapi_schema
-
-
-def _with_problems(operation: dict[str, Any]) -> None:
-    invalid = operation["responses"].get("422", {})
-    if "application/json" in invalid.get("content", {}):
-        schema = {"schema": {"$ref": "#/components/schemas/Problem"}}
-        invalid["description"], invalid["content"] = "Unprocessable Content", {"application/problem+json": schema}

@@ -1,0 +1,63 @@
+"""The OpenAPI document, with what FastAPI cannot know: the token, the form of errors, and names that last."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from fastapi import FastAPI
+from fastapi.openapi.utils import get_openapi
+
+from api.access import is_protected, needed_scope
+from api.problems import Problem, documented
+from api.sessions import SESSION_COOKIE
+
+
+def document_of(app: FastAPI) -> dict[str, Any]:
+    """The document of an application, made once."""
+    if app.openapi_schema is None:
+        app.openapi_schema = _document(app)
+    return app.openapi_schema
+
+
+def _document(app: FastAPI) -> dict[str, Any]:
+    document = get_openapi(
+        title=app.title,
+        version=app.version,
+        summary=app.summary,
+        description=app.description,
+        license_info=app.license_info,
+        routes=app.routes,
+    )
+    components = document["components"]
+    components["schemas"]["Problem"] = Problem.model_json_schema()
+    for unused in ("HTTPValidationError", "ValidationError"):
+        components["schemas"].pop(unused, None)
+    for schema in components["schemas"].values():
+        for one in schema.get("properties", {}).values():
+            _without_title(one)
+    components["securitySchemes"] = {
+        "token": {"type": "http", "scheme": "bearer"},
+        "session": {"type": "apiKey", "in": "cookie", "name": SESSION_COOKIE},
+    }
+    for path, operations in document["paths"].items():
+        for method, operation in operations.items():
+            _with_problems(operation)
+            for parameter in operation.get("parameters", ()):
+                _without_title(parameter["schema"])
+            if is_protected(method.upper(), path):
+                scope = needed_scope(method.upper(), path).value
+                operation["security"] = [{"token": [scope]}, {"session": []}]
+                operation["responses"].setdefault("403", documented(403)[403])
+    return document
+
+
+def _with_problems(operation: dict[str, Any]) -> None:
+    invalid = operation["responses"].get("422", {})
+    if "application/json" in invalid.get("content", {}):
+        schema = {"schema": {"$ref": "#/components/schemas/Problem"}}
+        invalid["description"], invalid["content"] = "Unprocessable Content", {"application/problem+json": schema}
+
+
+def _without_title(schema: dict[str, Any]) -> None:
+    """Titles of fields and parameters are their names, written otherwise: a quarter of the document."""
+    schema.pop("title", None)
