@@ -14,7 +14,7 @@ from starlette.middleware.cors import CORSMiddleware
 
 from api.access import REQUEST_ID
 from api.housekeeping import Housekeeper
-from api.openapi import document_of
+from api.openapi import document_of, operation_id
 from api.paging import LINK
 from api.problems import add_handlers
 from api.routes import (
@@ -94,6 +94,7 @@ def create_app(settings: ServiceSettings) -> FastAPI:
         docs_url=None,  # its page loads scripts from elsewhere; ours does not
         redoc_url=None,
         lifespan=lifespan,
+        generate_unique_id_function=operation_id,
     )
     app.state.services = services
     add_handlers(app)

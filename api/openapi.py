@@ -6,8 +6,10 @@ from typing import Any
 
 from fastapi import FastAPI
 from fastapi.openapi.utils import get_openapi
+from fastapi.routing import APIRoute
 
 from api.access import is_protected, needed_scope
+from api.examples import EXAMPLES
 from api.problems import Problem, documented
 from api.sessions import SESSION_COOKIE
 
@@ -35,6 +37,8 @@ def _document(app: FastAPI) -> dict[str, Any]:
     for schema in components["schemas"].values():
         for one in schema.get("properties", {}).values():
             _without_title(one)
+    for name, example in EXAMPLES.items():
+        components["schemas"][name]["examples"] = [example]
     components["securitySchemes"] = {
         "token": {"type": "http", "scheme": "bearer"},
         "session": {"type": "apiKey", "in": "cookie", "name": SESSION_COOKIE},
@@ -42,6 +46,7 @@ def _document(app: FastAPI) -> dict[str, Any]:
     for path, operations in document["paths"].items():
         for method, operation in operations.items():
             _with_problems(operation)
+            _with_files(method, operation)
             for parameter in operation.get("parameters", ()):
                 _without_title(parameter["schema"])
             if is_protected(method.upper(), path):
@@ -56,6 +61,27 @@ def _with_problems(operation: dict[str, Any]) -> None:
     if "application/json" in invalid.get("content", {}):
         schema = {"schema": {"$ref": "#/components/schemas/Problem"}}
         invalid["description"], invalid["content"] = "Unprocessable Content", {"application/problem+json": schema}
+
+
+def _with_files(method: str, operation: dict[str, Any]) -> None:
+    """Files are strings of bytes to OpenAPI; those of any type are said to be so."""
+    for status, response in operation["responses"].items():
+        if method == "get" and status == "200" and "content" not in response:
+            response["content"] = {"application/octet-stream": {}}
+        for media_type, content in response.get("content", {}).items():
+            if "schema" not in content and "json" not in media_type:
+                is_text = media_type.startswith("text/")
+                content["schema"] = {"type": "string"} if is_text else {"type": "string", "format": "binary"}
+
+
+def operation_id(route: APIRoute) -> str:
+    """The name of an operation, for generated clients: its module and its function, wherever its address leads.
+
+    They are listed in tests/contract/operation_ids.txt: one that changes breaks its users' programs.
+    """
+    module = str(route.endpoint.__module__).rpartition(".")[2]
+    verb = route.name.removesuffix(f"_{module}").removesuffix(f"_{module.removesuffix('s')}")
+    return f"{module}_{verb}"
 
 
 def _without_title(schema: dict[str, Any]) -> None:

@@ -87,15 +87,18 @@ def tracks() -> list[Track]:
     ]
 
 
-def finished_job(api: LiveApi, recording: bytes = b"not looked at", *, onnx: bool = True) -> str:
+def finished_job(
+    api: LiveApi, recording: bytes = b"not looked at", *, onnx: bool = True, weights: bytes = bytes(range(256)) * 4
+) -> str:
     """Create a job and publish small outputs for each of its stages; returns its id.
 
     Jobs with the same recording share their outputs. Without ``onnx`` there is no ``weights.onnx``, as in old jobs.
+    ``weights`` are no network unless others are given.
     """
     site = api.site(cameras=1)
     api.upload(site, recording)
     job_id = str(api.http.post(f"/v1/sites/{site}/jobs", json={}).json()["id"])
-    publish(api, job_id, lambda stage, folder: _write(stage, folder, onnx))
+    publish(api, job_id, lambda stage, folder: _write(stage, folder, onnx, weights))
     return job_id
 
 
@@ -128,14 +131,14 @@ def _assert_same(there: Mapping[str, FileFacts], stage: str, write: Callable[[st
     )
 
 
-def _write(stage: str, folder: Path, onnx: bool) -> None:
+def _write(stage: str, folder: Path, onnx: bool, weights: bytes) -> None:
     writer = ArtifactWriter(stage, folder, made_by(stage))
     if stage == "preflight":
         writer.write(catalogue.PROBE, Probe(cameras={"cam1": VIDEO}))
     if stage == "refine":
         writer.write(catalogue.RIG, corner_rig(1))
     if stage == "finetune":
-        writer.new_file(catalogue.WEIGHTS).write_bytes(bytes(range(256)) * 4)
+        writer.new_file(catalogue.WEIGHTS).write_bytes(weights)
         if onnx:
             writer.new_file(catalogue.WEIGHTS_ONNX).write_bytes(bytes(range(255, -1, -1)) * 3)
     if stage == "evaluate":
