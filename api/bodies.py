@@ -5,6 +5,7 @@ A schema's errors are built one by one: of a few megabytes of empty objects it w
 
 from __future__ import annotations
 
+import json
 from collections.abc import Callable, Coroutine
 from typing import Any
 
@@ -13,6 +14,7 @@ from fastapi.routing import APIRoute
 
 from api.security import BodyTooLarge
 from wibam_core.errors import TooLarge
+from wibam_core.text import NotJson, NotUnicode, decode_text, read_json
 
 #: No object of a description has a tenth of this many members.
 MOST_MEMBERS = 200
@@ -34,7 +36,10 @@ class BoundedJsonRoute(APIRoute):
 
 class _BoundedRequest(Request):
     async def json(self) -> Any:
-        content = await super().json()
+        try:
+            content = read_json(decode_text(await self.body()))
+        except (NotJson, NotUnicode) as error:
+            raise json.JSONDecodeError(str(error), "", 0) from error  # which FastAPI knows
         try:
             count_values(content)
         except TooLarge as error:

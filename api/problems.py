@@ -151,7 +151,9 @@ async def _validation_error(request: Request, error: Exception) -> JSONResponse:
     field, what = first_problem(errors)
     fields = [{"field": ".".join(map(str, e["loc"])), "problem": e["msg"]} for e in errors[:20]]
     if errors[0]["type"] == "json_invalid":
-        return problem(_coded("invalid_json", "the body is not valid JSON", _JSON_HINT, errors=fields), 400)
+        why = errors[0].get("ctx", {}).get("error", "")
+        message = "the body is not valid JSON" + (f": {why}" if why else "")
+        return problem(_coded("invalid_json", message, _JSON_HINT, errors=fields), 400)
     return problem(InputError(f"{field}: {what}", hint="Correct this field; /docs describes them all.", errors=fields))
 
 

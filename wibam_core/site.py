@@ -16,7 +16,7 @@ import pydantic
 from pydantic import BaseModel, ConfigDict, FailFast, Field
 
 from wibam_core.errors import SiteFileError
-from wibam_core.text import NotUnicode, decode_text
+from wibam_core.text import NotJson, NotUnicode, decode_text, read_json
 
 #: Ids become file names inside our own folders, so they are plain.
 CameraId = Annotated[str, Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9_-]{0,63}$")]
@@ -214,9 +214,11 @@ class Site(_Model):
             SiteFileError: naming the first field that is wrong, or how the text is encoded.
         """
         try:
-            site = cls.model_validate_json(decode_text(text) if isinstance(text, bytes) else text)
+            site = cls.model_validate(read_json(decode_text(text) if isinstance(text, bytes) else text))
         except NotUnicode as error:
             raise SiteFileError(f"site description: {error}", hint="Save it as UTF-8.") from error
+        except NotJson as error:
+            raise SiteFileError(f"site description: {error}", hint="Correct the JSON text there.") from error
         except pydantic.ValidationError as error:
             first = error.errors()[0]
             where = ".".join(str(part) for part in first["loc"]) or "the file"

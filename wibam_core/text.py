@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import codecs
+import json
+from typing import Any
 
 #: UTF-32's little-endian mark begins with UTF-16's, so that it is asked for first.
 _MARKS = (
@@ -40,6 +42,45 @@ def decode_text(content: bytes) -> str:
             f"it is not in UTF-8 but in an older encoding, such as Windows-1252: line {line} has the byte "
             f"{content[where]:#04x}"
         ) from error
+
+
+class NotJson(ValueError):
+    """A text that is no JSON, or says one thing twice; the message says where and why."""
+
+
+def read_json(text: str) -> Any:
+    """What a JSON text holds. A name that an object has twice is refused: nobody could say which was meant.
+
+    Raises:
+        NotJson: it is none.
+    """
+    try:
+        return json.loads(text, object_pairs_hook=_only_once)
+    except json.JSONDecodeError as error:
+        line = text.splitlines()[error.lineno - 1].strip() if text.strip() else ""
+        raise NotJson(f"line {error.lineno}, column {error.colno}: {_why(text, error)}: {line[:60]}") from error
+    except RecursionError as error:
+        raise NotJson("it is nested too deeply") from error
+
+
+def _only_once(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
+    found = dict(pairs)
+    if len(found) < len(pairs):
+        names = [name for name, _ in pairs]
+        twice = next(name for name in names if names.count(name) > 1)
+        raise NotJson(f"an object has {twice!r} twice; leave out the one that is not meant")
+    return found
+
+
+def _why(text: str, error: json.JSONDecodeError) -> str:
+    rest, before = text[error.pos :].lstrip(), text[: error.pos].rstrip()
+    if rest.startswith(("//", "/*", "#")):
+        return "JSON has no comments"
+    if (rest.startswith(("}", "]")) and before.endswith(",")) or (rest.startswith(",") and "trailing" in error.msg):
+        return "a comma too many"
+    if rest.startswith("'"):
+        return "JSON has double quotes alone"
+    return error.msg
 
 
 def _unmarked(content: bytes) -> str:

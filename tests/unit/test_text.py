@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 from pathlib import Path
 
 import pytest
@@ -13,7 +14,7 @@ from tests.builders import site_of
 from wibam_core.errors import InvalidLabels, SiteFileError
 from wibam_core.formats.labels import read_labels
 from wibam_core.site import Site
-from wibam_core.text import NotUnicode, decode_text
+from wibam_core.text import NotJson, NotUnicode, decode_text, read_json
 
 ENCODINGS = ("utf-8", "utf-8-sig", "utf-16", "utf-16-le", "utf-16-be", "utf-32", "utf-32-le", "utf-32-be")
 NAME = "Knotenpunkt Süd, 交差点"
@@ -64,3 +65,26 @@ def test_other_encodings_are_refused_by_name(tmp_path: Path) -> None:
 def test_what_is_no_text_is_said_to_be_none(content: bytes) -> None:
     with pytest.raises(NotUnicode, match="it is no text"):
         decode_text(content)
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        ('{"a": 1, "b": {"c": 2, "c": 3}}', "an object has 'c' twice"),
+        ('{\n "a": 1, // metres\n "b": 2}', "line 2, column 10: JSON has no comments"),
+        ('{"a": [1, 2,]}', "a comma too many"),
+        ("{'a': 1}", "double quotes"),
+        ("", "Expecting value"),
+        ("[" * 100_000, "nested too deeply"),
+    ],
+)
+def test_what_is_wrong_with_json_is_said_with_its_place(text: str, words: str) -> None:
+    with pytest.raises(NotJson, match=re.escape(words)):
+        read_json(text)
+
+
+def test_a_site_that_says_one_thing_twice_is_refused() -> None:
+    text = site_of().model_dump_json()
+    assert Site.parse(text) == site_of()
+    with pytest.raises(SiteFileError, match="'name' twice"):
+        Site.parse(text[:-1] + ', "name": "other"}')

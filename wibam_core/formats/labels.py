@@ -23,7 +23,7 @@ from wibam_core.formats import tables
 from wibam_core.geometry.box3d import BOX_FIELDS, SIZE
 from wibam_core.road_users import CLASSES
 from wibam_core.scene import FloatArray, LabelledInstant, Vehicles3D
-from wibam_core.text import NotUnicode, decode_text
+from wibam_core.text import NotUnicode, decode_text, read_json
 
 _DO_NOT_CARE = b"wibam.do_not_care"
 _REGIONS = 'Each is {"time_ns": ..., "polygon": [[x, y], ...]} with three corners at least, m in the world.'
@@ -169,7 +169,7 @@ def _table(rows: list[dict[str, Any]]) -> pa.Table:
 
 def _read_json(path: Path) -> tuple[pa.Table, list[int], list[tuple[int, FloatArray]]]:
     try:
-        data = json.loads(decode_text(path.read_bytes()))
+        data = read_json(decode_text(path.read_bytes()))
     except NotUnicode as cause:
         raise InvalidLabels(
             f"{path.name} is neither Parquet nor JSON: {cause}", hint=f"Save it as UTF-8. {_FORMAT}"

@@ -11,14 +11,16 @@ from wibam_core.calibration.foreign.geojson import GEOJSON
 from wibam_core.calibration.foreign.kalibr import KALIBR
 from wibam_core.calibration.foreign.matlab import MATLAB, read_mat
 from wibam_core.calibration.foreign.opencv import OPENCV
+from wibam_core.calibration.foreign.points_table import POINTS_TABLE
 from wibam_core.calibration.foreign.qgis import QGIS
 from wibam_core.calibration.foreign.tumtraf import TUMTRAF
 from wibam_core.errors import InputError
 from wibam_core.exchange.files import read_text
+from wibam_core.text import NotJson, read_json
 
 #: Asked in this order: what is more particular comes first.
 READERS: tuple[Reader, ...] = (
-    QGIS, GEOJSON, TUMTRAF, MATLAB, KALIBR, OPENCV, COLMAP_CAMERAS, COLMAP_IMAGES,
+    QGIS, POINTS_TABLE, GEOJSON, TUMTRAF, MATLAB, KALIBR, OPENCV, COLMAP_CAMERAS, COLMAP_IMAGES,
 )  # fmt: skip
 #: Larger files are no calibration.
 _MAX_BYTES = 1 << 26
@@ -44,6 +46,8 @@ def read_named(name: str, text: str) -> tuple[str, Sequence[FoundCamera]]:
     Raises:
         InputError: it is of no known format, or broken.
     """
+    if name.lower().endswith((".json", ".geojson")):
+        _check_json(name, text)
     try:
         reader = next((reader for reader in READERS if reader.recognises(name.lower(), text)), None)
         if reader is None:
@@ -56,6 +60,20 @@ def read_named(name: str, text: str) -> tuple[str, Sequence[FoundCamera]]:
     except InputError as error:
         raise (error if reader is None else _of_file(name, reader.name, error)) from error
     return reader.name, found
+
+
+def _check_json(name: str, text: str) -> None:
+    """Raises:
+    InputError: a file that is called JSON is none. OpenCV's own begins with a line that says ``%YAML``.
+    """
+    if text.lstrip().startswith("%"):
+        return
+    try:
+        read_json(text)
+    except NotJson as error:
+        raise InputError(
+            f"{name} is no JSON: {error}", hint="Correct the text there, or save the file again."
+        ) from error
 
 
 def _of_file(name: str, form: str, error: InputError) -> InputError:

@@ -1,0 +1,106 @@
+"""Surveyed points in tables, as surveyors, spreadsheets and scripts of many countries save them."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from tests.unit.calibration.test_foreign import (
+    GROUND,
+    PIXELS,
+    camera_of,
+    kalibr_file,
+    on_earth,
+    origin_at,
+    saved,
+    told,
+)
+from wibam_core.calibration.foreign.registry import read_file, read_named
+from wibam_core.errors import InputError
+from wibam_core.site import PnPCalibration
+
+GRID = GROUND + [691_234.5, 5_334_567.25, 0.0]
+
+
+def table(header: str, delimiter: str = ",", decimal: str = ".", places: np.ndarray = GRID, end: str = "\n") -> str:
+    rows = [
+        delimiter.join(f"{value:.9f}".replace(".", decimal) for value in (*place, *pixel))
+        for place, pixel in zip(places, PIXELS, strict=True)
+    ]
+    return end.join([header.replace(",", delimiter), *rows, ""])
+
+
+@pytest.mark.parametrize(
+    ("text", "name"),
+    [
+        (table("x,y,z,u,v"), "points.csv"),
+        (table("Easting,NORTHING,Height,U,V", ";", ","), "points.csv"),
+        (table("X [m],Y [m],Z (m),u_px,v_px", "\t", ",", end="\r\n"), "points.txt"),
+        ("# made on Monday\n\n" + table('"x_m","y_m","z_m","u","v"') + "\n// the end\n", "p.csv"),
+    ],
+)
+@pytest.mark.parametrize("encoding", ["utf-8-sig", "utf-16"])
+def test_tables_of_any_spreadsheet_say_the_same_points(text: str, name: str, encoding: str, tmp_path: Path) -> None:
+    (tmp_path / name).write_bytes(text.encode(encoding))
+    form, [camera] = read_file(tmp_path / name)
+    assert form == "table of points" and camera.points is not None and camera.points.crs is None
+    np.testing.assert_allclose(camera.points.coordinates, GRID, atol=1e-6)
+    np.testing.assert_allclose(camera.points.pixels, PIXELS, atol=1e-6)
+
+
+def test_longitudes_and_latitudes_calibrate_a_camera(tmp_path: Path) -> None:
+    places = np.column_stack([on_earth(GROUND[:, :2]), GROUND[:, 2]])
+    points = saved(tmp_path, "points.csv", table("lon,lat,z,u,v", ";", ",", places))
+    site = tmp_path / "site"
+    origin_at(site)
+    told(site, "north", kalibr_file(tmp_path), points)
+    calibration = camera_of(site, "north")[1].calibration
+    assert isinstance(calibration, PnPCalibration)
+    np.testing.assert_allclose([one.world for one in calibration.correspondences], GROUND, atol=2e-3)
+
+
+def test_rows_of_several_cameras_and_points_without_a_pixel() -> None:
+    text = "name,camera,x,y,u,v\np1,north,1,2,30,40\np2,south,1,2,50,60\np3,north,5,6,,\n"
+    found = {camera.name: camera for camera in read_named("gcp.csv", text)[1]}
+    assert sorted(found) == ["north", "south"]
+    assert found["north"].notes == ("1 points without a pixel were left out.",)
+    assert found["south"].points is not None and np.isnan(found["south"].points.coordinates[0, 2])
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        ("x;y;u;v\n691.234,5;1;2;3\n", "line 2, x: '691.234,5' has its thousands set apart"),
+        ("x,y,u,v\n691'234.5,1,2,3\n", "thousands set apart"),
+        ("x,y,u,v\n1,5,2,3,4,5\n", "line 2 has 6 columns, the line of names has 4"),
+        ("x,y,u,v\n1,2,three,4\n", "line 2, u: 'three' is no number"),
+        ("x,y,u,v\n1,2,nan,4\n", "not finite"),
+        ("east,u,v\n1,2,3\n", "no two columns of places"),
+        ("x,X,y,u,v\n1,1,2,3,4\n", "two columns x"),
+    ],
+)
+def test_tables_that_cannot_be_understood_are_refused_with_the_place(text: str, words: str) -> None:
+    with pytest.raises(InputError, match=re.escape(words)) as refused:
+        read_named("points.csv", text)
+    assert refused.value.hint
+
+
+@pytest.mark.parametrize(("delimiter", "decimal"), [(",", "."), (";", ","), ("\t", ",")])
+def test_points_of_qgis_that_a_spreadsheet_saved_again(delimiter: str, decimal: str) -> None:
+    lines = ["mapX,mapY,sourceX,sourceY,enable".replace(",", delimiter)]
+    for place, pixel in zip(GRID, PIXELS, strict=True):
+        numbers = [*place[:2], pixel[0] + 0.5, -(pixel[1] + 0.5)]
+        lines.append(delimiter.join([*(f"{value:.9f}".replace(".", decimal) for value in numbers), "1"]))
+    form, [camera] = read_named("north.points", "\n".join(["#CRS: EPSG:32632", *lines]))
+    assert form == "QGIS points" and camera.points is not None and camera.points.crs == "EPSG:32632"
+    np.testing.assert_allclose(camera.points.pixels, PIXELS, atol=1e-6)
+    np.testing.assert_allclose(camera.points.coordinates[:, :2], GRID[:, :2], atol=1e-6)
+
+
+def test_a_file_that_is_called_json_and_is_none_is_refused_with_the_place() -> None:
+    text = '{"type": "FeatureCollection",\n "features": [] // none yet\n}'
+    with pytest.raises(InputError, match=r"line 2, .* no comments"):
+        read_named("points.geojson", text)

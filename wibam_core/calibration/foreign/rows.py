@@ -1,0 +1,95 @@
+"""Tables of text as programs and spreadsheets write them: a line of names, then rows."""
+
+from __future__ import annotations
+
+import csv
+import re
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+from wibam_core.errors import InputError
+
+_COMMENTS = ("#", "//", "%")
+#: What people write behind a name: a unit, in brackets or behind an underscore.
+_UNIT = re.compile(r"[\s_]*[\[(][^\])]*[\])]\s*$|_(?:m|px|deg)$")
+
+
+@dataclass(frozen=True)
+class Rows:
+    """A table.
+
+    Attributes:
+        names: of the columns, in lower case, without their units.
+        rows: (line in the file, column name -> text) of each that is not empty.
+        crs: what a line ``#CRS: ...`` says; "" without one.
+        decimal_commas: numbers may have a decimal comma, since the columns are told apart by something else.
+    """
+
+    names: tuple[str, ...]
+    rows: Sequence[tuple[int, Mapping[str, str]]]
+    crs: str
+    decimal_commas: bool
+
+    def number(self, line: int, row: Mapping[str, str], name: str) -> float:
+        """A number of a row.
+
+        Raises:
+            InputError: it is none, or its thousands are set apart.
+        """
+        text = row.get(name, "").strip()
+        plain = text.replace(",", ".") if self.decimal_commas and "." not in text and text.count(",") == 1 else text
+        try:
+            return float(plain)
+        except ValueError as error:
+            hint = "Give plain numbers, such as 5334567.25."
+            if re.fullmatch(r"[+-]?\d{1,3}(?:[.,'\u2019\s\u00a0\u202f]\d{3})+(?:[.,]\d*)?", text):
+                raise InputError(f"line {line}, {name}: {text!r} has its thousands set apart", hint=hint) from error
+            raise InputError(f"line {line}, {name}: {text!r} is no number", hint=hint) from error
+
+
+def header_of(text: str) -> tuple[str, ...]:
+    """The names in the first line that is no comment; () where there is none."""
+    line = next((line for _, line in _lines(text)), "")
+    return tuple(_plain(name) for name in next(csv.reader([line], delimiter=_delimiter(line)), []))
+
+
+def read_rows(text: str) -> Rows:
+    """Read a table, of columns set apart by commas, semicolons or tabs; lines that are comments are passed over.
+
+    Raises:
+        InputError: a row is longer than the line of names, or a quotation does not end.
+    """
+    lines = _lines(text)
+    names = header_of(text)
+    delimiter = _delimiter(lines[0][1]) if lines else ","
+    rows = []
+    for number, line in lines[1:]:
+        try:
+            cells = next(csv.reader([line], delimiter=delimiter, strict=True))
+        except csv.Error as error:
+            raise InputError(f"line {number}: {error}", hint="Save the table again.") from error
+        if len(cells) > len(names) and any(cell.strip() for cell in cells[len(names) :]):
+            raise InputError(
+                f"line {number} has {len(cells)} columns, the line of names has {len(names)}",
+                hint="Where the decimal mark is a comma, set columns apart by semicolons or tabs.",
+            )
+        if any(cell.strip() for cell in cells):
+            rows.append((number, dict(zip(names, cells, strict=False))))
+    crs = next((line[5:].strip() for line in text.splitlines() if line.upper().startswith("#CRS:")), "")
+    return Rows(names, rows, crs, delimiter != ",")
+
+
+def _lines(text: str) -> list[tuple[int, str]]:
+    return [
+        (number, line)
+        for number, line in enumerate(text.splitlines(), 1)
+        if line.strip() and not line.lstrip().startswith(_COMMENTS)
+    ]
+
+
+def _delimiter(line: str) -> str:
+    return max((",", ";", "\t"), key=lambda mark: (mark != "," and mark in line, line.count(mark)))
+
+
+def _plain(name: str) -> str:
+    return _UNIT.sub("", name.strip().strip('"').lower()).strip()
