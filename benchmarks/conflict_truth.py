@@ -1,7 +1,8 @@
 """The conflicts that simulated traffic really has: brute force on its exact states, apart from the code it judges.
 
 Time to collision: both vehicles of a pair are moved on in small steps, straight and on their present arcs, until their
-rectangles overlap. Post-encroachment time: a fine grid on the ground remembers when each vehicle covered each cell.
+rectangles overlap. Post-encroachment time: a grid on the ground remembers when each vehicle covered each cell; what
+may be below the threshold is looked at again on a finer grid, at finer times.
 """
 
 from __future__ import annotations
@@ -24,6 +25,8 @@ _EVERY = 2
 _PERIOD_S = _EVERY * STEP_S
 _ROLL_S = 0.05
 _CELL_M = 0.25
+#: The second look at an encroachment: cells and steps of this size, so far around its place and its two times.
+_FINE_CELL_M, _FINE_STEP_S, _FINE_AROUND_M, _FINE_AROUND_S = 0.05, 0.01, 1.5, 0.5
 _SAME_DIRECTION_RAD = np.radians(30.0)
 
 
@@ -177,6 +180,7 @@ def _encroachments(
     vehicles: Sequence[States], pet_s: float
 ) -> dict[tuple[int, int], tuple[float, float, float, float]]:
     """Least time between one leaving a cell of the ground and another, on another course, coming to it."""
+    by_id = {v.vehicle_id: v for v in vehicles}
     visits: dict[tuple[int, int], list[tuple[float, float, int, float]]] = {}
     for v in vehicles:
         moving = np.hypot(*v.velocities.T) >= 1.0
@@ -191,13 +195,13 @@ def _encroachments(
                     span[1] = time
         for cell, (enters, leaves, yaw) in spans.items():
             visits.setdefault(cell, []).append((enters, leaves, v.vehicle_id, yaw))
-    found: dict[tuple[int, int], tuple[float, float, float, float]] = {}
+    rough: dict[tuple[int, int], tuple[float, float, float, tuple[int, int], tuple[int, int]]] = {}
     crashed: set[tuple[int, int]] = set()
     for cell, rows in visits.items():
         rows.sort()
         for n, (_, leaves, one, yaw) in enumerate(rows):
             for enters, _, other, its_yaw in rows[n + 1 :]:
-                if enters - leaves > pet_s + _PERIOD_S:
+                if enters - leaves > pet_s + 3 * _PERIOD_S:
                     break
                 if one == other or abs((its_yaw - yaw + np.pi) % (2 * np.pi) - np.pi) < _SAME_DIRECTION_RAD:
                     continue
@@ -205,12 +209,48 @@ def _encroachments(
                 if enters <= leaves:
                     crashed.add(ids)
                     continue
-                # a cell counts as left at the last look and as reached at the first: on average half a look each
-                gap = max(enters - leaves - _PERIOD_S, 0.01)
-                if gap < pet_s and (ids not in found or gap < found[ids][0]):
-                    found[ids] = (gap, enters, (cell[0] + 0.5) * _CELL_M, (cell[1] + 0.5) * _CELL_M)
-    lines = {v.vehicle_id: v.boxes[:, XY] for v in vehicles}
-    return {ids: row for ids, row in found.items() if ids not in crashed and _cut(lines[ids[0]], lines[ids[1]])}
+                if ids not in rough or enters - leaves < rough[ids][0]:
+                    rough[ids] = (enters - leaves, leaves, enters, (one, other), cell)
+    found = {}
+    for ids, (_, leaves, enters, (one, other), cell) in rough.items():
+        if ids in crashed or not _cut(by_id[one].boxes[:, XY], by_id[other].boxes[:, XY]):
+            continue
+        x, y = (cell[0] + 0.5) * _CELL_M, (cell[1] + 0.5) * _CELL_M
+        gap = _second_look(by_id[one], by_id[other], leaves, enters, x, y)
+        if gap is not None and gap < pet_s:
+            found[ids] = (gap, enters, x, y)
+    return found
+
+
+def _second_look(one: States, other: States, leaves_s: float, enters_s: float, x_m: float, y_m: float) -> float | None:
+    """Least time between one leaving and the other reaching a place near (x, y), None where they share none there."""
+    side = np.arange(-_FINE_AROUND_M, _FINE_AROUND_M, _FINE_CELL_M)
+    places = np.stack(np.meshgrid(x_m + side, y_m + side, indexing="ij"), axis=-1)
+    spans = []
+    for vehicle, about_s in ((one, leaves_s), (other, enters_s)):
+        last_s = (vehicle.first + len(vehicle.boxes) - 1) * _PERIOD_S
+        times = np.arange(
+            max(about_s - _FINE_AROUND_S, vehicle.first * _PERIOD_S),
+            min(about_s + _FINE_AROUND_S, last_s),
+            _FINE_STEP_S,
+        )
+        first, last = np.full(places.shape[:2], np.inf), np.full(places.shape[:2], -np.inf)
+        known_s = (vehicle.first + np.arange(len(vehicle.boxes))) * _PERIOD_S
+        boxes = np.column_stack(
+            [
+                np.interp(times, known_s, column)
+                for column in (*vehicle.boxes[:, :YAW].T, np.unwrap(vehicle.boxes[:, YAW]))
+            ]
+        )
+        for time, box in zip(times.tolist(), boxes, strict=True):
+            covered = _in_footprint(places, box)
+            first[covered] = np.minimum(first[covered], time)
+            last[covered] = time
+        spans.append((first, last))
+    gaps = spans[1][0] - spans[0][1]
+    both = np.isfinite(gaps)
+    # a place counts as left at the last look and as reached at the first: on average half a step each
+    return max(float(gaps[both].min()) - _FINE_STEP_S, 0.01) if both.any() else None
 
 
 def _cut(one: Array, other: Array) -> bool:
@@ -238,8 +278,12 @@ def _covered(box: Array) -> list[tuple[int, int]]:
     corners = footprints(box)
     low, high = np.floor(corners.min(0) / _CELL_M).astype(int), np.ceil(corners.max(0) / _CELL_M).astype(int)
     x, y = np.meshgrid(np.arange(low[0], high[0]), np.arange(low[1], high[1]), indexing="ij")
-    offset = (np.stack([x, y], -1) + 0.5) * _CELL_M - box[XY]
-    c, s = np.cos(box[YAW]), np.sin(box[YAW])
-    along, across = c * offset[..., 0] + s * offset[..., 1], c * offset[..., 1] - s * offset[..., 0]
-    inside = (np.abs(along) < box[LENGTH] / 2) & (np.abs(across) < box[WIDTH] / 2)
+    inside = _in_footprint((np.stack([x, y], -1) + 0.5) * _CELL_M, box)
     return list(zip(x[inside].tolist(), y[inside].tolist(), strict=True))
+
+
+def _in_footprint(places: Array, box: Array) -> NDArray[np.bool_]:
+    """(...) whether places (..., 2) lie in a box's footprint."""
+    offset, c, s = places - box[XY], np.cos(box[YAW]), np.sin(box[YAW])
+    along, across = c * offset[..., 0] + s * offset[..., 1], c * offset[..., 1] - s * offset[..., 0]
+    return np.asarray((np.abs(along) < box[LENGTH] / 2) & (np.abs(across) < box[WIDTH] / 2))
