@@ -24,11 +24,17 @@ Indices = NDArray[np.int64]
 #: A vehicle that drove at least this far shows by its motion where its front is.
 _MIN_DRIVEN_M = 2.0
 #: A camera errs in much the same way in one frame and the next, while the smoother takes errors for independent. So
-#: what is measured counts for less than it says, and what comes out is less certain than the smoother says: factors of
-#: the variances of x, y and yaw (benchmarks/tracking.py, where half of the variance persists). Who walks turns at once,
-#: and is not taken for somebody who drives on.
-_LASTING = 3.0
-_LEFT = np.array([1.5, 1.5, 2.2])
+#: what is measured counts for less than it says: factors of the variances of x, y and yaw. Who walks turns at once, and
+#: is not taken for somebody who drives on.
+_LASTING = np.array([3.0, 3.0, 3.0])
+#: Of somebody who brakes or starts hard, that would hide how hard: what lasts moves nobody, and what is measured anew
+#: at each instant is more exact than the whole.
+_BRISK = np.array([0.7, 0.7, 1.0])
+#: Hard is a change of speed by more than this, m/s²; so much around it counts as well, s.
+_BRISK_MPS2, _BRISK_AROUND_S = 3.0, 0.5
+#: What comes out is less certain than the smoother says: its variances, as multiples of what they are for independent
+#: errors (benchmarks/tracking.py, where half of the variance persists; benchmarks/conflicts.py).
+_LEFT = np.array([4.5, 4.5, 6.6])
 #: So many vehicles are smoothed together; all that is known of their states at every instant is in memory meanwhile.
 _TOGETHER = 64
 #: Somebody slower than this may be stepping back or aside, m/s.
@@ -84,10 +90,15 @@ def _smoothed(first_id: int, vehicles: Sequence[Sequence[Hit]], instants: Indice
         measured[rows] = True
         value[rows] = np.array([hit.box for hit in hits])[:, POSE]
         sd[rows] = np.array([hit.sd for hit in hits])[:, POSE]
-    lasting = np.where(model.turns_freely, 1.0, _LASTING)[of_state, None]
-    measurements = Measurement(value, np.sqrt(lasting) * sd)
-    beliefs = smooth(model, lengths, times_ns, measurements, measured)
     states = [slice(at, at + length) for at, length in zip(start, lengths, strict=True)]
+    drives = ~model.turns_freely[of_state]
+    factors = np.where(drives[:, None], _BRISK, 1.0)
+    beliefs = smooth(model, lengths, times_ns, Measurement(value, np.sqrt(factors) * sd), measured)
+    speeds = model.where(of_state).travel(beliefs.mean)[1]
+    brisk = np.concatenate([_is_brisk(speeds[own], times_ns[own]) for own in states])
+    factors[drives & ~brisk] = _LASTING
+    measurements = Measurement(value, np.sqrt(factors) * sd)
+    beliefs = smooth(model, lengths, times_ns, measurements, measured)
     travelled = model.where(of_state).travel(beliefs.mean)[1]
     turned = np.array(
         [
@@ -110,7 +121,7 @@ def _smoothed(first_id: int, vehicles: Sequence[Sequence[Hit]], instants: Indice
     boxes, sd = np.empty((len(of_state), 7)), np.empty((len(of_state), 7))
     boxes[:, XY], boxes[:, YAW] = place[:, :STATE_YAW], normalise_angle(place[:, STATE_YAW])
     boxes[:, SIZE], boxes[:, Z] = size[of_state], size[of_state, 2] / 2
-    sd[:, POSE] = np.sqrt(_LEFT * (_LASTING / lasting) * np.maximum(variances, 0.0))
+    sd[:, POSE] = np.sqrt(np.where(drives[:, None], _LEFT / factors, _LEFT / _LASTING) * np.maximum(variances, 0.0))
     sd[:, SIZE], sd[:, Z] = size_sd[of_state], size_sd[of_state, 2] / 2
     sd = np.maximum(sd, SD_FLOOR / 3)
     velocities, yaw_rates = every.velocity(beliefs.mean)
@@ -138,6 +149,17 @@ def _size(hits: Sequence[Hit]) -> tuple[Array, Array]:
     median = np.take_along_axis(sizes, order, axis=0)[middle, np.arange(3)]
     spread = 1.4826 * np.median(np.abs(sizes - median), axis=0)
     return median, np.hypot(spread / np.sqrt(len(hits)), SD_FLOOR[SIZE])
+
+
+def _is_brisk(speeds: Array, times_ns: Indices) -> NDArray[np.bool_]:
+    """(T,) when a vehicle with these speeds (T,) brakes or starts hard, with what lies around it."""
+    changes = np.abs(np.diff(speeds)) > _BRISK_MPS2 * np.diff(times_ns) * 1e-9
+    hard_ns = times_ns[1:][changes]
+    if not len(hard_ns):
+        return np.zeros(len(speeds), bool)
+    after = np.searchsorted(hard_ns, times_ns)
+    gaps = [np.abs(times_ns - hard_ns[np.clip(k, 0, len(hard_ns) - 1)]) for k in (after - 1, after)]
+    return np.asarray(np.minimum(*gaps) <= _BRISK_AROUND_S * 1e9)
 
 
 def _facing(yaws: Array, speeds: Array, ahead: Array) -> Array:

@@ -215,3 +215,18 @@ def test_a_second_box_of_a_tracked_vehicle_begins_no_track() -> None:
         tracker.step(number * PERIOD_NS, seen)
     (track,) = tracker.tracks()
     assert len(track.times_ns) == 12
+
+
+def test_who_brakes_hard_is_seen_to_brake_when_it_does() -> None:
+    # 9 m/s until second 4, then a stop at 7 m/s²
+    def path(t: float) -> tuple[float, float, float]:
+        braking = min(max(t - 4.0, 0.0), 9.0 / 7.0)
+        return (9.0 * min(t, 4.0) + 9.0 * braking - 3.5 * braking**2 - 36.0, 0.0, 0.0)
+
+    (track,) = follow([path], 8, noise_m=0.15, recall=1.0)
+    speeds = np.hypot(*track.velocities_mps.T)
+    since_s = np.clip(track.times_ns * 1e-9 - 4.0, 0.0, 9.0 / 7.0)
+    around = np.abs(track.times_ns * 1e-9 - 4.5) < 1.5
+    # smoothed as one who drives on, it would be off by 0.83 m/s, and have 7.9 m/s before it brakes
+    assert np.sqrt(np.mean((speeds - (9.0 - 7.0 * since_s))[around] ** 2)) < 0.65
+    assert speeds[np.searchsorted(track.times_ns, int(3.8e9))] > 8.1
