@@ -145,15 +145,16 @@ def find_conflicts(
         (track for track in tracks if track.times_ns[-1] - track.times_ns[0] >= config.min_track_s * 1e9),
         key=lambda track: track.track_id,
     )
-    courses = approaching(tracks, config.ttc_s, config.min_deceleration_mps2, progress)
+    courses = approaching(tracks, config, errors, progress)
     same_direction = math.radians(config.same_direction_deg)
     passing = crossing(tracks, config.pet_s + _PET_MARGIN_S, same_direction, config.min_speed_mps)
     pairs = sorted(courses.keys() | passing)
     found = []
     for done, pair in enumerate(pairs):
         a, b = tracks[pair[0]], tracks[pair[1]]
-        rng = np.random.default_rng([seed, a.track_id, b.track_id])  # a pair's draws do not depend on other pairs
-        conflict = _conflict(a, b, courses.get(pair), pair in passing, config, errors, rng)
+        # draws depend neither on other pairs nor on what else is looked at in this one
+        rngs = [np.random.default_rng([seed, a.track_id, b.track_id, measure]) for measure in range(2)]
+        conflict = _conflict(a, b, courses.get(pair), pair in passing, config, errors, rngs)
         if conflict is not None and conflict.probability >= config.min_probability:
             found.append(conflict)
         if done % 50 == 0:
@@ -169,15 +170,15 @@ def _conflict(
     may_cross: bool,
     config: SafetyConfig,
     errors: TrackErrors,
-    rng: np.random.Generator,
+    rngs: Sequence[np.random.Generator],
 ) -> Conflict | None:
     if _both_walk(a, b):
         return None
     begin, end = max(a.times_ns[0], b.times_ns[0]), min(a.times_ns[-1], b.times_ns[-1])
     if _overlap_deeply(a, b, together(a, b, int(begin), int(end)), config):
         return None
-    course = None if approach_ns is None else _course(a, b, approach_ns, config, errors, rng)
-    passing = _passing(a, b, config, errors, rng) if may_cross else None
+    course = None if approach_ns is None else _course(a, b, approach_ns, config, errors, rngs[0])
+    passing = _passing(a, b, config, errors, rngs[1]) if may_cross else None
     if course is None and passing is None:
         return None
     possible = np.ones(1, bool) if course is None else course.evidence.possible

@@ -7,11 +7,14 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.special import ndtri
 
+from wibam_core.config import SafetyConfig
 from wibam_core.geometry.box3d import LENGTH, WIDTH, XY, YAW
 from wibam_core.geometry.se3 import normalise_angle
 from wibam_core.progress import Progress
-from wibam_core.safety.track_errors import place_sd_m
+from wibam_core.safety.track_errors import TrackErrors
+from wibam_core.safety.ttc import time_to_collision
 from wibam_core.scene import Track
 
 Array = NDArray[np.float64]
@@ -21,6 +24,9 @@ Indices = NDArray[np.int64]
 _MARGIN_SD, _MARGIN_M = 2.5, 0.5
 #: Speeds err by about this much, m/s: nobody is left out by less.
 _SPEED_MARGIN_MPS = 1.0
+#: A pair's errors are as good as new about so often while the two approach each other; no probability below this is
+#: looked for.
+_MOMENTS, _LEAST_PROBABILITY = 10, 0.001
 #: Paths are compared on cells of this size, m.
 _CELL_M = 4.0
 
@@ -47,9 +53,11 @@ class _All:
     track: Indices
     place: Array
     velocity: Array
-    yaw: Array
+    boxes: Array
     reach: Array
     margin: Array
+    place_sd: Array
+    size_sd: Array
 
     @classmethod
     def of(cls, tracks: Sequence[Track]) -> _All:
@@ -57,23 +65,34 @@ class _All:
         track = np.repeat(np.arange(len(tracks)), [len(t) for t in tracks])
         order = np.lexsort((track, times))
         boxes = np.concatenate([t.boxes for t in tracks])[order]
+        sd = np.nan_to_num(np.concatenate([t.sd for t in tracks])[order])
+        place_sd = sd[:, XY].max(axis=1)
         return cls(
             times[order],
             track[order],
             boxes[:, XY],
             np.concatenate([t.velocities_mps for t in tracks])[order],
-            boxes[:, YAW],
+            boxes,
             0.5 * np.hypot(boxes[:, LENGTH], boxes[:, WIDTH]),
-            _MARGIN_M + _MARGIN_SD * np.concatenate([place_sd_m(t) for t in tracks])[order],
+            _MARGIN_M + _MARGIN_SD * place_sd,
+            place_sd,
+            np.hypot(0.5 * sd[:, LENGTH], 0.5 * boxes[:, LENGTH] * sd[:, YAW]),
         )
+
+    @property
+    def yaw(self) -> Array:
+        return self.boxes[:, YAW]
 
 
 def approaching(
-    tracks: Sequence[Track], horizon_s: float, min_deceleration_mps2: float, progress: Progress
+    tracks: Sequence[Track], config: SafetyConfig, errors: TrackErrors, progress: Progress
 ) -> dict[tuple[int, int], Indices]:
     """Pairs of tracks, as places in the sequence (smaller first), with the times (ns) at which they may be on a crash
-    course: straight on they would come within reach in less than ``horizon_s``, and it would take braking to avoid it.
+    course: straight on they would come within reach in less than ``config.ttc_s``, and it would take braking to avoid
+    it. Pairs that would need larger errors for that than such tracks have are left out: less probable than
+    ``config.min_probability``.
     """
+    horizon_s, min_deceleration_mps2 = config.ttc_s, config.min_deceleration_mps2
     if not tracks:
         return {}
     every = _All.of(tracks)
@@ -106,21 +125,60 @@ def approaching(
         may &= (nearest2 < (reach + _SPEED_MARGIN_MPS * time) ** 2) & ((approach > 0) | (gap < 0))
         rows = np.flatnonzero(may)
         if len(rows):
-            found.append(np.stack([every.track[i[rows]], every.track[j[rows]], every.times_ns[i[rows]]]))
+            found.append(np.stack([i[rows], j[rows]]))
         if done % 500 == 0:
             progress(0.3 * done / len(starts), "Looking for crash courses")
-    return _by_pair(found)
-
-
-def _by_pair(found: Sequence[Indices]) -> dict[tuple[int, int], Indices]:
     if not found:
         return {}
-    a, b, times = np.concatenate(found, axis=1)
+    one, other = np.concatenate(found, axis=1)
+    return _by_pair(every, one, other, _may_be_critical(every, one, other, config, errors))
+
+
+def _may_be_critical(
+    every: _All, i: Indices, j: Indices, config: SafetyConfig, errors: TrackErrors
+) -> NDArray[np.bool_]:
+    """(R,) whether states i and j (R,) of two are critical if they err by as much as is still likely enough.
+
+    The footprints are as much larger as place, course and size may err until the two are nearest. The likeliest of a
+    pair's moments stands for about `_MOMENTS` that err on their own.
+    """
+    deviations = float(ndtri(1.0 - max(config.min_probability, _LEAST_PROBABILITY) / _MOMENTS))
+    a, b = every.boxes[i].copy(), every.boxes[j].copy()
+    velocity = every.velocity[j] - every.velocity[i]
+    speed2 = (velocity**2).sum(axis=1)
+    nearest_s = -((b[:, XY] - a[:, XY]) * velocity).sum(axis=1) / np.maximum(speed2, 1e-9)
+    nearest_s = np.clip(nearest_s, 0.0, config.ttc_s)
+    both = np.hypot(every.place_sd[i], every.place_sd[j])
+    place_sd = max(errors.along, errors.across) * both
+    speed_sd = max(errors.along / errors.along_s, errors.across / errors.across_s) * both
+    size_sd = np.hypot(every.size_sd[i], every.size_sd[j]) * max(errors.size, errors.yaw)
+    more_m = deviations * np.sqrt(place_sd**2 + (speed_sd * nearest_s) ** 2 + size_sd**2)
+    for boxes in (a, b):
+        boxes[:, LENGTH] += more_m
+        boxes[:, WIDTH] += more_m
+    ttc = time_to_collision(a, every.velocity[i], b, every.velocity[j])
+    speed = np.sqrt(speed2)
+    faster = speed + deviations * speed_sd
+    # the way that is left, at the higher speed
+    with np.errstate(invalid="ignore"):
+        ttc = np.where(np.isfinite(ttc), ttc * speed / np.maximum(faster, 1e-9), np.inf)
+    moves = np.maximum(np.hypot(*every.velocity[i].T), np.hypot(*every.velocity[j].T))
+    may = (ttc < config.ttc_s) & (moves + deviations * speed_sd >= config.min_speed_mps)
+    return np.asarray(may & (faster >= 2 * ttc * config.min_deceleration_mps2))
+
+
+def _by_pair(every: _All, i: Indices, j: Indices, may: NDArray[np.bool_]) -> dict[tuple[int, int], Indices]:
+    """The times of each pair of states i and j (R,), of pairs of tracks that may be critical at any of them."""
+    a, b, times = every.track[i], every.track[j], every.times_ns[i]
     order = np.lexsort((times, b, a))
-    a, b, times = a[order], b[order], times[order]
+    a, b, times, may = a[order], b[order], times[order], may[order]
     starts = np.flatnonzero(np.r_[True, (np.diff(a) != 0) | (np.diff(b) != 0)])
     ends = np.r_[starts[1:], len(a)]
-    return {(int(a[s]), int(b[s])): times[s:e] for s, e in zip(starts.tolist(), ends.tolist(), strict=True)}
+    any_may = np.logical_or.reduceat(may, starts)
+    return {
+        (int(a[s]), int(b[s])): times[s:e]
+        for s, e in zip(starts[any_may].tolist(), ends[any_may].tolist(), strict=True)
+    }
 
 
 def crossing(

@@ -31,11 +31,18 @@ def contact_interval(
     velocity = np.asarray(velocities_b, dtype=np.float64) - np.asarray(velocities_a, dtype=np.float64)
     shape = np.broadcast_shapes(offset.shape[:-1], velocity.shape[:-1])
     first, last = np.full(shape, -np.inf), np.full(shape, np.inf)
-    for yaw in (a[..., YAW], a[..., YAW] + np.pi / 2, b[..., YAW], b[..., YAW] + np.pi / 2):
-        axis = np.stack([np.cos(yaw), np.sin(yaw)], axis=-1)
-        gap = (offset * axis).sum(-1)
-        closing = (velocity * axis).sum(-1)
-        reach = _half_shadow(a, yaw) + _half_shadow(b, yaw)
+    ahead_a, ahead_b = ((np.cos(box[..., YAW]), np.sin(box[..., YAW])) for box in (a, b))
+    c = np.abs(ahead_a[0] * ahead_b[0] + ahead_a[1] * ahead_b[1])
+    s = np.abs(ahead_a[0] * ahead_b[1] - ahead_a[1] * ahead_b[0])
+    (length_a, width_a), (length_b, width_b) = ((0.5 * box[..., LENGTH], 0.5 * box[..., WIDTH]) for box in (a, b))
+    for (x, y), reach in (
+        (ahead_a, length_a + length_b * c + width_b * s),
+        ((-ahead_a[1], ahead_a[0]), width_a + length_b * s + width_b * c),
+        (ahead_b, length_b + length_a * c + width_a * s),
+        ((-ahead_b[1], ahead_b[0]), width_b + length_a * s + width_a * c),
+    ):
+        gap = offset[..., 0] * x + offset[..., 1] * y
+        closing = velocity[..., 0] * x + velocity[..., 1] * y
         with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
             one, other = (-reach - gap) / closing, (reach - gap) / closing
         still = np.abs(closing) < _STILL_MPS
@@ -60,12 +67,17 @@ def time_to_collision(
 
 def footprints_touch(boxes_a: ArrayLike, boxes_b: ArrayLike) -> NDArray[np.bool_]:
     """Whether footprints a (..., 7) and b (..., 7) touch or overlap now."""
-    still = np.zeros(2)
-    first, _ = contact_interval(boxes_a, still, boxes_b, still)
-    return np.asarray(first < np.inf)
-
-
-def _half_shadow(boxes: Array, axis_yaw: Array) -> Array:
-    """Half the length of the footprints' shadows on the direction ``axis_yaw``."""
-    turn = boxes[..., YAW] - axis_yaw
-    return 0.5 * (boxes[..., LENGTH] * np.abs(np.cos(turn)) + boxes[..., WIDTH] * np.abs(np.sin(turn)))
+    a, b = np.asarray(boxes_a, dtype=np.float64), np.asarray(boxes_b, dtype=np.float64)
+    offset = b[..., XY] - a[..., XY]
+    turn = b[..., YAW] - a[..., YAW]
+    c, s = np.abs(np.cos(turn)), np.abs(np.sin(turn))
+    (length_a, width_a), (length_b, width_b) = ((0.5 * box[..., LENGTH], 0.5 * box[..., WIDTH]) for box in (a, b))
+    touch = np.ones(c.shape, bool)
+    for yaw, reach_ahead, reach_aside in (
+        (a[..., YAW], length_a + length_b * c + width_b * s, width_a + length_b * s + width_b * c),
+        (b[..., YAW], length_b + length_a * c + width_a * s, width_b + length_a * s + width_a * c),
+    ):
+        x, y = np.cos(yaw), np.sin(yaw)
+        touch &= np.abs(offset[..., 0] * x + offset[..., 1] * y) <= reach_ahead
+        touch &= np.abs(offset[..., 1] * x - offset[..., 0] * y) <= reach_aside
+    return touch

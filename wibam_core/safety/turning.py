@@ -24,6 +24,10 @@ class TurningStates:
     velocities: Array
     yaw_rates: Array
 
+    def where(self, rows: NDArray[np.bool_]) -> TurningStates:
+        """Those of the selected moments (K,)."""
+        return TurningStates(self.boxes[rows], self.velocities[rows], self.yaw_rates[rows])
+
     def after(self, seconds: float) -> Array:
         """Boxes (K, 7) later, on arcs of constant speed and yaw rate."""
         turn = self.yaw_rates * seconds
@@ -41,7 +45,13 @@ class TurningStates:
 def collide_turning(a: TurningStates, b: TurningStates, horizon_s: float) -> NDArray[np.bool_]:
     """(K,) whether the footprints touch within ``horizon_s``, looked at every 0.1 s."""
     hit = np.zeros(len(a.boxes), dtype=bool)
+    open_rows = np.arange(len(hit))
     for step in range(1, int(np.ceil(horizon_s / _STEP_S)) + 1):
         seconds = min(step * _STEP_S, horizon_s)
-        hit |= footprints_touch(a.after(seconds), b.after(seconds))
+        touch = footprints_touch(a.after(seconds), b.after(seconds))
+        if touch.any():
+            hit[open_rows[touch]] = True
+            a, b, open_rows = a.where(~touch), b.where(~touch), open_rows[~touch]
+            if not len(open_rows):
+                break
     return hit

@@ -10,6 +10,7 @@ import pytest
 from tests.unit.safety.test_conflicts import straight
 from wibam_core.config import SafetyConfig
 from wibam_core.road_users import RoadUserClass
+from wibam_core.safety import evidence, pairs
 from wibam_core.safety.area import analysable_area
 from wibam_core.safety.conflicts import find_conflicts
 from wibam_core.safety.measured_errors import measured_errors
@@ -99,7 +100,7 @@ def test_nothing_is_left_out_before_the_exact_measures() -> None:
     t = np.arange(0, 7, 1 / HZ)
     ahead, behind = track(1, 14 * t - 60.0, 0 * t, 0.1, 1.0), track(2, 0 * t, 0 * t, 0.1, 1.0)
     far = track(3, 14 * t, 0 * t + 60, 0.1, 1.0)
-    pairs = approaching([ahead, behind, far], 3.0, 3.0, lambda *_, **__: None)
+    pairs = approaching([ahead, behind, far], SafetyConfig(), TrackErrors(), lambda *_, **__: None)
     assert set(pairs) == {(0, 1)}
     # from where braking by 3 m/s² is needed: 14² / 6 = 33 m before
     assert pairs[0, 1][0] * 1e-9 <= (60.0 - 4.5 - 33.0) / 14.0
@@ -143,3 +144,18 @@ def test_the_area_is_where_many_pass_and_few_are_lost() -> None:
 def test_no_tracks_no_area() -> None:
     area = analysable_area([], SafetyConfig())
     assert (area.area_m2, area.outlines()) == (0.0, [])
+
+
+def test_what_is_left_out_early_would_not_have_been_told(monkeypatch: pytest.MonkeyPatch) -> None:
+    # eight times somebody comes up to one who stands, and passes at once, sooner or later, with more room or less
+    t, tracks = np.arange(0, 6, 1 / HZ), []
+    for number, room in enumerate(np.linspace(1.2, 4.5, 8)):
+        aside = room * np.clip(t - (55.5 / 14.0 - 0.8 - 0.08 * number), 0.0, 1.0)
+        tracks.append(track(2 * number, 14 * t - 60.0, 100.0 * number + aside, 0.15, 2.0))
+        tracks.append(track(2 * number + 1, 0 * t, 0 * t + 100.0 * number, 0.15, 2.0))
+    config = SafetyConfig(max_overlap_iou=1.0)
+    told = find_conflicts(tracks, config)
+    assert 2 < len(told) < 8
+    monkeypatch.setattr(pairs, "_may_be_critical", lambda every, i, j, config, errors: np.ones(len(i), bool))
+    monkeypatch.setattr(evidence, "_NEXT_TO_IMPOSSIBLE", -1.0)
+    assert find_conflicts(tracks, config) == told
