@@ -228,7 +228,26 @@ def figures(judged: Sequence[Judged], seed: int = 0) -> dict[str, object]:
         result[name] = float(values.mean()) if len(values) else None
         result[f"{name}_median"] = float(np.median(values)) if len(values) else None
         result[f"{name}_interval"] = bootstrap(values, found, seed)
-    return result
+    return result | _without_shared_shift(judged)
+
+
+def _without_shared_shift(judged: Sequence[Judged]) -> dict[str, object]:
+    """By how much all boxes that found a vehicle lie beside the labels together, m, and the errors without that.
+
+    The shift is the mean over the same vehicles: cameras that see each other's vehicles cannot tell it, and labels are
+    no surer of it than their own common frame is.
+    """
+    pairs = np.concatenate([np.empty((0, 2, 7)), *(one.pairs for one in judged)])
+    if len(pairs) < 2:
+        return {"shift_m": None, "ate_m_unshifted": None, "bev_iou_unshifted": None}
+    labels, boxes = pairs[:, 0], pairs[:, 1].copy()
+    shift = (boxes - labels)[:, XY].mean(axis=0)
+    boxes[:, XY] -= shift
+    return {
+        "shift_m": shift.tolist(),
+        "ate_m_unshifted": float(np.linalg.norm((boxes - labels)[:, XY], axis=1).mean()),
+        "bev_iou_unshifted": float(bev_iou_paired(labels, boxes).mean()),
+    }
 
 
 def _share(part: int, whole: int) -> float | None:

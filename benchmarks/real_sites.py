@@ -40,7 +40,7 @@ from wibam_core.stages.store import StageStore
 Row = dict[str, Any]
 
 #: What says which run a row is of.
-_KEY = ("site", "detector", "rounds_asked", "steps", "seed", "options")
+_KEY = ("site", "version", "detector", "rounds_asked", "steps", "seed", "options")
 
 
 def of_what_teaches(outputs: ArtifactReader, labels: Sequence[Labels], area: Area) -> Row:
@@ -104,8 +104,8 @@ def _said(update: StageUpdate) -> None:
 def written(path: Path, row: Mapping[str, Any]) -> list[Row]:
     """All rows of a file, with this one in place of another of the same run."""
     rows = json.loads(path.read_text(encoding="utf-8")) if path.is_file() else []
-    rows = [other for other in rows if any(other[name] != row[name] for name in _KEY)] + [dict(row)]
-    rows.sort(key=lambda one: tuple(str(one[name]) for name in _KEY))
+    rows = [other for other in rows if any(other.get(name) != row.get(name) for name in _KEY)] + [dict(row)]
+    rows.sort(key=lambda one: tuple(str(one.get(name)) for name in _KEY))
     path.parent.mkdir(parents=True, exist_ok=True)
     path.write_text(json.dumps(rows, indent=1) + "\n", encoding="utf-8")
     return rows
@@ -119,6 +119,7 @@ def main() -> None:
         "--area", type=Path, required=True, help="JSON: polygon_m, within which all is labelled; ignore"
     )
     parser.add_argument("--runs", type=Path, default=Path("build/real"), help="outputs of stages are kept there")
+    parser.add_argument("--version", default="unreleased", help="of the code, as rows call it")
     parser.add_argument("--detector", default="bundled", help="what rows call it")
     parser.add_argument("--detector-file", type=Path, help="ONNX; without, the bundled one")
     parser.add_argument("--seeds", type=int, nargs="+", default=[0])
@@ -136,6 +137,7 @@ def main() -> None:
         config = PipelineConfig.parse(parse_options(arguments.set))
         row = {
             "site": arguments.site.resolve().name,
+            "version": arguments.version,
             "detector": arguments.detector,
             "rounds_asked": config.rounds.most,
             "steps": 0 if arguments.fits_only else steps,

@@ -91,6 +91,15 @@ def test_figures_count_and_state_intervals() -> None:
     assert nothing["recall"] is None and nothing["ate_m"] is None and nothing["bev_iou_interval"] is None
 
 
+def test_a_shift_that_all_vehicles_share_is_told_apart() -> None:
+    vehicles = [car(0, 0), car(8, 0), car(0, 8)]
+    shifted = np.array([car(0.2, 0.5), car(8.4, 0.5), car(0.3, 8.5)])  # together by 0.3 and 0.5 m, and 0.1 m each way
+    of = figures([judge(labels(*vehicles), SQUARE, shifted)])
+    assert np.allclose(of["shift_m"], (0.3, 0.5)) and of["ate_m_unshifted"] == pytest.approx(0.2 / 3)
+    assert of["bev_iou_unshifted"] > 0.9 > of["bev_iou"]  # type: ignore[operator]
+    assert figures([judge(labels(vehicles[0]), SQUARE, shifted[:1])])["shift_m"] is None
+
+
 def test_wilsons_interval_is_the_published_one() -> None:
     assert wilson(15, 20) == pytest.approx((0.531, 0.888), abs=1e-3)  # Newcombe 1998, method 3: 0.5313 to 0.8881
     low, high = wilson(25, 25) or (0.0, 0.0)

@@ -15,7 +15,7 @@ from wibam_core.geometry.boxes2d import distinct
 from wibam_core.geometry.pixels import resized_px
 from wibam_core.geometry.torch_ops import CameraTensors
 from wibam_core.models.frames import Frame, prepare_camera, prepare_image
-from wibam_core.models.peaks import DUPLICATE_IOU, Peaks, find_peaks
+from wibam_core.models.peaks import DUPLICATE_IOU, Peaks, find_peaks, standing_apart
 from wibam_core.models.second_look import Edges, SecondLook
 from wibam_core.networks.small.architecture import SmallOutputs
 from wibam_core.networks.small.decode import PeakValues, boxes2d_px, boxes3d, gather, gather_around, standard_deviations
@@ -110,6 +110,8 @@ def _placed(
     found = []
     for index, frame in enumerate(frames):
         mine = np.flatnonzero(values.image.numpy() == index)
+        if fits:  # else places err by metres, and vehicles in a queue overlap
+            mine = mine[standing_apart(boxes.numpy()[mine], numbers[mine])]
         found.append(
             Vehicles3D.of(
                 frame.time_ns,

@@ -13,7 +13,7 @@ from tests.builders import look_at
 from wibam_core.evaluation.matching import match_on_ground
 from wibam_core.geometry.torch_ops import CameraTensors
 from wibam_core.models.frames import Frame, prepare_camera, prepare_image, to_input
-from wibam_core.models.peaks import find_peaks
+from wibam_core.models.peaks import find_peaks, standing_apart
 from wibam_core.models.second_look import Edges, SecondLook
 from wibam_core.models.trunk import TrunkShape
 from wibam_core.models.weights import bundled
@@ -24,7 +24,7 @@ from wibam_core.networks.small.network import SmallMonocular
 from wibam_core.networks.small.predict import kept_peaks
 from wibam_core.networks.small.reconcile import reconciled
 from wibam_core.placing import Decode
-from wibam_core.road_users import BODIES
+from wibam_core.road_users import BODIES, RoadUserClass
 from wibam_core.scene import Vehicles3D
 from wibam_core.synthetic.sampling import sample_views
 
@@ -175,6 +175,20 @@ def test_duplicates_do_not_hide_the_vehicle_that_they_repeat() -> None:
     boxes[2, 0] = torch.nan
     assert kept_peaks(torch.tensor([0, 0, 0]), boxes, boxes2d).tolist() == [0]
     assert kept_peaks(torch.tensor([1, 0, 1]), boxes, boxes2d).tolist() == [1, 0]
+
+
+def test_of_two_that_stand_on_one_place_the_weaker_is_left_out() -> None:
+    def car(x: float, y: float) -> list[float]:
+        return [x, y, 0.75, 4.5, 1.8, 1.5, 0.0]
+
+    # a pick-up, its rear half beside it, the car that stands 0.4 m behind, one in the next lane, somebody beside it
+    boxes = np.array(
+        [car(0.0, 0.0), car(-2.0, 0.1), car(-4.9, 0.0), car(0.0, 2.2), [0.0, 1.3, 0.9, 0.8, 0.7, 1.7, 0.0]]
+    )
+    classes = np.array([RoadUserClass.CAR.number] * 4 + [RoadUserClass.PEDESTRIAN.number])
+    assert standing_apart(boxes, classes).tolist() == [0, 2, 3, 4]
+    assert standing_apart(boxes[[1, 0]], classes[:2]).tolist() == [0]
+    assert standing_apart(boxes[:0], classes[:0]).tolist() == []
 
 
 def test_the_camera_may_have_another_size_than_the_image(network: SmallNetwork) -> None:
