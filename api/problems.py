@@ -39,6 +39,7 @@ STATUS: Mapping[str, int] = {
     "wrong_content_type": 415,
     "locked": 423,
     "checksum_mismatch": 460,
+    "unknown_checksum": 400,
     "service_unavailable": 503,
     "disk_full": 507,
 }

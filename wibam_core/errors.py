@@ -226,6 +226,13 @@ class UploadExpired(WibamError):
     default_hint = "Start a new upload."
 
 
+class UnknownChecksum(InputError):
+    """A checksum that is none, or of an algorithm that we do not know: tus has a status of its own for it."""
+
+    code = "unknown_checksum"
+    default_hint = "Upload-Checksum is an algorithm and base64, see https://tus.io; OPTIONS lists the algorithms."
+
+
 class ChecksumMismatch(WibamError):
     code = "checksum_mismatch"
     default_hint = "The bytes were damaged on their way and were not kept; send them again."

@@ -20,7 +20,7 @@ from api.times import parse_time
 from api.tus import EXTENSIONS, TUS_VERSION
 from wibam_core.adapters.site_store import UploadRequest
 from wibam_core.adapters.uploads import CHECKSUMS, Checksum, Piece
-from wibam_core.errors import InputError, WibamError
+from wibam_core.errors import InputError, UnknownChecksum, WibamError
 from wibam_core.jobs.records import Purpose, Upload
 
 _BLOCK = 1024 * 1024
@@ -65,7 +65,7 @@ def options(response: Response) -> None:
     status_code=201,
     response_class=Response,  # no body
     summary="Begin an upload",
-    responses=documented(401, 404, 408, 409, 412, 413, 422, 507),
+    responses=documented(400, 401, 404, 408, 409, 412, 413, 422, 507),
     openapi_extra={
         "requestBody": {"content": {UPLOAD_CONTENT_TYPE: {"schema": {"type": "string", "format": "binary"}}}}
     },
@@ -232,13 +232,13 @@ def parse_checksum(header: str) -> Checksum:
     """``Upload-Checksum`` as tus writes it.
 
     Raises:
-        InputError: it is not that.
+        UnknownChecksum: it is not that.
     """
     algorithm, _, encoded = header.partition(" ")
     try:
         return Checksum(algorithm, base64.b64decode(encoded, validate=True))
     except ValueError:
-        raise InputError("Upload-Checksum is not an algorithm and base64", hint="See https://tus.io.") from None
+        raise UnknownChecksum("Upload-Checksum is not an algorithm and base64") from None
 
 
 def _request(length: int, header: str) -> UploadRequest:

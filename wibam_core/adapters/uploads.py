@@ -15,7 +15,15 @@ from typing import Self
 
 from wibam_core.adapters.files import DataFolder, RunningDigests, UploadFile
 from wibam_core.adapters.site_store import SiteStore, UploadRequest
-from wibam_core.errors import ChecksumMismatch, Conflict, InputError, Locked, NotFound, TooLarge, UploadExpired
+from wibam_core.errors import (
+    ChecksumMismatch,
+    Conflict,
+    Locked,
+    NotFound,
+    TooLarge,
+    UnknownChecksum,
+    UploadExpired,
+)
 from wibam_core.jobs.records import Upload
 
 _ACKNOWLEDGE_EVERY = 16 * 1024 * 1024
@@ -26,12 +34,12 @@ class Checksum:
     """What a client says its piece hashes to.
 
     Raises:
-        InputError: an algorithm that we do not know.
+        UnknownChecksum: of an algorithm that we do not know.
     """
 
     def __init__(self, algorithm: str, expected: bytes) -> None:
         if algorithm not in CHECKSUMS:
-            raise InputError(f"no checksum algorithm {algorithm!r}", hint=f"Use one of {', '.join(CHECKSUMS)}.")
+            raise UnknownChecksum(f"no checksum algorithm {algorithm!r}", hint=f"Use one of {', '.join(CHECKSUMS)}.")
         self._digest = hashlib.new(algorithm, usedforsecurity=False)
         self._expected = expected
 

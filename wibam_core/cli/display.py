@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
+from pathlib import Path
 from types import TracebackType
 from typing import Any
 
@@ -64,6 +65,28 @@ def print_warning(console: Console, warning: StageWarning) -> None:
     """Print what is doubtful, and what to do about it."""
     console.print(f"[yellow]warning[/] {escape(warning.message)}", highlight=False)
     console.print(f"        [dim]{escape(warning.hint)}[/]", highlight=False)
+
+
+def print_overlap(console: Console, calibrated: Path | None) -> None:
+    """Print how much of the road each pair of cameras sees together: known within seconds, before hours are spent.
+
+    Args:
+        console: where to.
+        calibrated: the outputs of the stage `calibrate`.
+    """
+    from wibam_core.artifacts.access import ArtifactReader
+    from wibam_core.artifacts.catalogue import RESIDUALS  # takes a tenth of a second, which other commands do not need
+
+    if calibrated is None:
+        return
+    overlap = ArtifactReader({RESIDUALS.stage: calibrated}).read(RESIDUALS).overlap
+    if overlap is None or not overlap.pairs:
+        return
+    within = f"within {overlap.within_m:.0f} m of the middle of all"
+    for pair in overlap.pairs:
+        shared = f"{pair.area_m2:.0f} m² ({pair.share:.0%} of what the one that sees less sees)"
+        text = f"{' and '.join(pair.cameras)} share {shared if pair.area_m2 else 'no road'}"
+        console.print(f"        {escape(text)} {within}", highlight=False, soft_wrap=True)
 
 
 @dataclass

@@ -11,7 +11,7 @@ from rich.console import Console
 from rich.markup import escape
 
 from wibam_core.artifacts.catalogue import made_by
-from wibam_core.cli.display import StageDisplay
+from wibam_core.cli.display import StageDisplay, print_overlap
 from wibam_core.cli.foretell import foretold, print_foretold
 from wibam_core.config import PipelineConfig
 from wibam_core.errors import InvalidOption
@@ -87,6 +87,9 @@ def run(
                 update.remaining_s,
                 update.job_remaining_s,
             )
+            if update.stage == "calibrate" and update.state in ("succeeded", "reused", "given"):
+                calibrated = next(stage for stage in planned if stage.name == "calibrate")
+                print_overlap(console, folder.made(calibrated, store))
 
         result = run_pipeline(folder, store, config, show, until=until, expected_s=expected)
     if "report" in result.summaries:
