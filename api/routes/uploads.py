@@ -100,7 +100,7 @@ async def create(
 
 
 @router.head(
-    "/{upload_id}", response_class=Response, summary="Where does an upload stand?", responses=documented(404, 410)
+    "/{upload_id}", response_class=Response, summary="Where does an upload stand?", responses=documented(404, 410, 412)
 )
 def head(upload_id: str, services: ServicesDep, response: Response, tus_resumable: TusVersion = "") -> None:
     """`Upload-Offset` bytes are safely on the service's disk."""
@@ -150,7 +150,7 @@ async def patch(
     )
 
 
-@router.delete("/{upload_id}", status_code=204, summary="Drop an upload", responses=documented(401, 404, 423))
+@router.delete("/{upload_id}", status_code=204, summary="Drop an upload", responses=documented(401, 404, 412, 423))
 def delete(upload_id: str, services: ServicesDep, tus_resumable: TusVersion = "") -> None:
     """The recording that a complete upload became stays."""
     _check_version(tus_resumable)
