@@ -45,12 +45,16 @@ def ground_of(changes: FloatArray, prior: Prior) -> tuple[float, float, float]:
     return -height_sd_m * float(rise), tilt_sd_rad * float(about_y), -tilt_sd_rad * float(about_x)
 
 
+def rests_on_points(rig: CameraRig, residuals: CalibrationResiduals) -> bool:
+    """Whether every camera was solved from points, whose covariance says where in the world it is."""
+    known = (residuals.cameras.get(name) for name in rig.mounted)
+    return all(camera is not None and camera.covariance is not None for camera in known)
+
+
 def _height_sd_m(rig: CameraRig, residuals: CalibrationResiduals, config: RefineConfig) -> float:
     """Of the road: as the options say, but for cameras that all rest on points, which lie on it."""
-    rests_on_points = all(
-        name in residuals.cameras and residuals.cameras[name].covariance is not None for name in rig.mounted
-    )
-    return min(config.ground_sd_m, _POINTS_HEIGHT_SD_M) if rests_on_points else config.ground_sd_m
+    on_points = rests_on_points(rig, residuals)
+    return min(config.ground_sd_m, _POINTS_HEIGHT_SD_M) if on_points else config.ground_sd_m
 
 
 def _covariance(rig: CameraRig, residuals: CalibrationResiduals, camera_id: str, config: RefineConfig) -> FloatArray:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 
@@ -12,11 +13,12 @@ from wibam_core.documents.calibration import CalibrationResiduals
 from wibam_core.documents.refinement import HeldOut, RefinedCamera, RefinedGround, Refinement
 from wibam_core.documents.warnings import Caution
 from wibam_core.errors import NoMultiViewVehicles, NoVehicles
+from wibam_core.lifting.fit import X, Y
 from wibam_core.progress import Progress, part, silent
 from wibam_core.refinement.bundle import Adjusted, adjust
-from wibam_core.refinement.cameras import K1, LOG_FOCAL, POSITION, ROTATION, Prior
+from wibam_core.refinement.cameras import K1, LOG_FOCAL, POSITION, ROTATION, Prior, changed
 from wibam_core.refinement.mounts import of_what_is_seen
-from wibam_core.refinement.prior import ground_of, prior_of
+from wibam_core.refinement.prior import ground_of, prior_of, rests_on_points
 from wibam_core.refinement.sightings import Sightings, choose
 from wibam_core.refinement.unchanged import Refined, unchanged
 from wibam_core.scene import AnnotatedInstant, CameraRig, FloatArray
@@ -31,6 +33,8 @@ _PARTS = 3
 _CERTAIN_SD = 2.0
 #: Edges that are off by more than this many standard deviations tell no more of a calibration.
 _CLIP_SD = 4.0
+#: Vehicles that so many cameras see say where all cameras lie together, if there are at least so many of them.
+_SEVERAL_VIEWS, _FEWEST_TOGETHER = 3, 6
 #: A clock that seems to be off by more than this is worth a word, ms. True ones of a real site seem to be by 31.
 _LATE_MS = 40.0
 
@@ -79,8 +83,32 @@ def refine(
         return unchanged(
             rig, residuals, config, "fewer than two vehicles were held out that the cameras could be judged by"
         )
+    if not rests_on_points(rig, residuals):
+        found = where_they_were(found, sightings, prior, config.clock_sd_s)
     progress(1.0, "refined" if _is_better(judged, config) else "kept as calibrated")
     return _result(prior, found, judged, sightings, config)
+
+
+def where_they_were(found: Adjusted, sightings: Sightings, prior: Prior, clock_sd_s: float) -> Adjusted:
+    """Cameras and vehicles moved together along the road, so that vehicles lie on average where they did before.
+
+    Where all cameras lie together is nothing that the traffic tells, and errors that all boxes share can move it.
+    Ready matrices were found by somebody who looked at where cameras see places on the road: of that, the mean over
+    several cameras, by which a vehicle is placed, is known best. Where too few vehicles are seen by several, all stays.
+    """
+    before = adjust(sightings, Prior.fixed(prior.rig), clock_sd_s=clock_sd_s).parameters
+    moved = (found.parameters - before)[:, [X, Y]]
+    several = sightings.problem.seen.numpy().sum(axis=1) >= _SEVERAL_VIEWS
+    numbers = np.unique(sightings.vehicles[several])
+    if len(numbers) < _FEWEST_TOGETHER:
+        return found
+    by_vehicle = [np.median(moved[several & (sightings.vehicles == number)], axis=0) for number in numbers]
+    together_m = np.zeros(3)
+    together_m[:2] = np.median(by_vehicle, axis=0)
+    changes, parameters = found.changes.copy(), found.parameters.copy()
+    changes[:, POSITION] -= together_m
+    parameters[:, [X, Y]] -= together_m[:2]
+    return replace(found, rig=changed(prior.rig, changes), changes=changes, parameters=parameters)
 
 
 def _judged(
