@@ -86,8 +86,11 @@ class Footage:
             for stretch in camera.stretches
         ]
         instants = np.unique(np.concatenate(spans))
+        done = 0 if after_ns is None else int(np.searchsorted(instants, after_ns, side="right"))
         #: (N,) when something may be seen.
-        self.instants: IntArray = instants if after_ns is None else instants[instants > after_ns]
+        self.instants: IntArray = instants[done:]
+        #: The last instant before these, if any: a slow camera's frame of then may be the nearest to the next one, too.
+        self._before: IntArray = instants[max(done - 1, 0) : done]
 
     def frames(self) -> Iterator[SeenFrame]:
         """All frames in order of the instants, then of the cameras and views. Close it if it is not read to its end."""
@@ -117,6 +120,9 @@ class Footage:
         one_pass = OnePass(camera.recording, size_px=(info.width_px, info.height_px))
         local = clock.to_local_ns(self.instants)
         last_ns = None
+        for local_ns in clock.to_local_ns(self._before).tolist():
+            shown = one_pass.nearest(local_ns, tolerance_ns)
+            last_ns = None if shown is None else shown.time_ns
         for instant_ns, local_ns in zip(self.instants.tolist(), local.tolist(), strict=True):
             found = one_pass.nearest(local_ns, tolerance_ns)
             if found is None or found.time_ns == last_ns:  # each frame once

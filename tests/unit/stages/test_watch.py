@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Sequence
+from itertools import islice
 from pathlib import Path
 from typing import Any
 
@@ -13,6 +14,7 @@ from tests.builders import corner_rig, site_of
 from tests.recordings import write_recording
 from wibam_core.artifacts import catalogue
 from wibam_core.artifacts.access import ArtifactReader
+from wibam_core.clocks import ClockMap
 from wibam_core.config import PipelineConfig
 from wibam_core.documents.watching import Watched
 from wibam_core.errors import InputError
@@ -23,8 +25,10 @@ from wibam_core.models.weights import bundled
 from wibam_core.networks.small.onnx_network import OnnxNetwork
 from wibam_core.scene import Track, Vehicles3D
 from wibam_core.stages import watch
+from wibam_core.stages.footage import CameraFootage, Footage
 from wibam_core.stages.runner import SiteFolder, StageUpdate, run_pipeline
 from wibam_core.stages.store import StageStore
+from wibam_core.video.probe import probe
 from wibam_core.video.recording import Recording, RecordingFile
 
 RIG = corner_rig(2)
@@ -186,3 +190,19 @@ def test_a_run_without_its_network_does_not_begin(runs: Runs, tmp_path: Path) ->
     nothing.write_bytes(b"")
     with pytest.raises(InputError):
         runs.run({"cam1": runs.files(0.0)}, model=nothing)
+
+
+@pytest.mark.parametrize("after_ns", [400_000_000, 900_000_000, 1_700_000_000])
+def test_a_slow_camera_shows_each_frame_once_wherever_a_run_goes_on(video: Path, after_ns: int) -> None:
+    # 2.5 frames a second at 10 instants a second: the frame that one instant showed is the nearest to the next as well
+    camera = CameraFootage("cam1", Recording.at(video), probe(video), ClockMap())
+
+    def shown(after: int | None) -> list[tuple[int, int]]:
+        frames = Footage({"cam1": camera}, 10.0, RIG, after).frames()
+        some = [(f.instant_ns, f.exposed_ns) for f in islice(frames, 12)]
+        frames.close()  # type: ignore[attr-defined]
+        return some
+
+    whole = shown(None)
+    rest = [row for row in whole if row[0] > after_ns]
+    assert shown(after_ns)[: len(rest)] == rest
