@@ -35,7 +35,8 @@ class TrackConfig(StageConfig):
         0.3,
         ge=0,
         le=1,
-        description="a track seen at a smaller share of the instants that it lasted is dropped: a chain of false boxes",
+        description="a track seen at a smaller share of the instants that it lasted, and never for long at this one,"
+        " is dropped: a chain of false boxes",
     )
     max_coast_s: float = Field(1.0, gt=0, le=60, description="a track unseen for longer ends")
     max_coast_standing_s: float = Field(

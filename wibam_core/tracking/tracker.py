@@ -20,7 +20,7 @@ from wibam_core.scene import Track, Vehicles3D
 from wibam_core.tracking.fusion import REACH, Detected, Fused, fuse, ground_distance
 from wibam_core.tracking.models import WALKS, model_of
 from wibam_core.tracking.motion import STATES, Belief, Measurement, MotionModel, innovation, squared_distance, update
-from wibam_core.tracking.trajectory import Hit, to_tracks
+from wibam_core.tracking.trajectory import Hit, came_nowhere, seen_often, to_tracks
 
 Array = NDArray[np.float64]
 Indices = NDArray[np.int64]
@@ -283,15 +283,20 @@ class Tracker:
         return to_tracks(kept, instants)
 
     def _is_proven(self, hits: Sequence[Hit], instants: Indices) -> bool:
-        lasted = np.searchsorted(instants, hits[-1].time_ns) - np.searchsorted(instants, hits[0].time_ns) + 1
-        return len(hits) >= max(self._config.min_hits, self._config.min_seen_share * int(lasted))
+        return seen_often(hits, instants, self._config.min_hits, self._config.min_seen_share)
 
     # --- one instant --------------------------------------------------------------------------
     def _end_unseen(self, time_ns: int) -> None:
         speeds = np.hypot(*self._active.model.travel(self._active.belief.mean)[0].T)
-        may_hide = (speeds < _STANDING_MPS) & (self._active.seen >= self._config.min_hits)
-        longest_s = np.where(may_hide, self._config.max_coast_standing_s, self._config.max_coast_s)
-        unseen = time_ns - self._active.times_ns > longest_s * 1e9
+        unseen_s = (time_ns - self._active.times_ns) * 1e-9
+        unseen = unseen_s > self._config.max_coast_s
+        if not unseen.any():
+            return
+        stands = speeds < _STANDING_MPS
+        for row in np.flatnonzero(unseen & ~stands).tolist():
+            stands[row] = came_nowhere(self._active.hits[row][-2:], self._config.max_coast_s, _STANDING_MPS)
+        may_hide = stands & (self._active.seen >= self._config.min_hits)
+        unseen &= ~may_hide | (unseen_s > self._config.max_coast_standing_s)
         if unseen.any():
             self._ended += self._active.where(unseen).hits
             self._active = self._active.where(~unseen)

@@ -37,6 +37,8 @@ _BRISK_MPS2, _BRISK_AROUND_S = 3.0, 0.5
 _LEFT = np.array([4.5, 4.5, 6.6])
 #: So many vehicles are smoothed together; all that is known of their states at every instant is in memory meanwhile.
 _TOGETHER = 64
+#: So many times the fewest hits, seen often enough, prove a road user for good.
+_MANY = 3
 #: Somebody slower than this may be stepping back or aside, m/s.
 _WALKING_MPS = 0.5
 
@@ -59,6 +61,26 @@ class Hit:
     def measurement(self) -> Measurement:
         """Its place and heading."""
         return Measurement(self.box[POSE], self.sd[POSE])
+
+
+def seen_often(hits: Sequence[Hit], instants: Indices, fewest: int, share: float) -> bool:
+    """Whether a road user was seen ``fewest`` times and at such a share of the instants that it lasted; or at some time
+    by many hits in a row: who parked in full view may be seen now and then only, once others stand in front."""
+    if len(hits) < fewest:
+        return False
+    at = np.searchsorted(instants, [hit.time_ns for hit in hits])
+    if len(hits) >= share * (at[-1] - at[0] + 1):
+        return True
+    many = _MANY * fewest
+    return len(hits) >= many and bool((many >= share * (at[many - 1 :] - at[: len(at) - many + 1] + 1)).any())
+
+
+def came_nowhere(hits: Sequence[Hit], least_s: float, slowest_mps: float) -> bool:
+    """Whether somebody was unseen for longer than ``least_s`` between two hits, and hardly elsewhere afterwards."""
+    if len(hits) < 2 or hits[1].time_ns - hits[0].time_ns <= least_s * 1e9:
+        return False
+    way_m = float(np.hypot(*(hits[1].box[XY] - hits[0].box[XY])))
+    return way_m < slowest_mps * (hits[1].time_ns - hits[0].time_ns) * 1e-9
 
 
 def to_tracks(vehicles: Sequence[Sequence[Hit]], instants: Indices) -> list[Track]:

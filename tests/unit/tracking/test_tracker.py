@@ -230,3 +230,14 @@ def test_who_brakes_hard_is_seen_to_brake_when_it_does() -> None:
     # smoothed as one who drives on, it would be off by 0.83 m/s, and have 7.9 m/s before it brakes
     assert np.sqrt(np.mean((speeds - (9.0 - 7.0 * since_s))[around] ** 2)) < 0.65
     assert speeds[np.searchsorted(track.times_ns, int(3.8e9))] > 8.1
+
+
+def test_who_parked_in_full_view_is_one_track_though_seen_every_five_seconds_later() -> None:
+    rng, tracker = np.random.default_rng(0), Tracker(TrackConfig())
+    for k in range(600):
+        seen = k < 60 or k % 31 == 0
+        place = rng.normal(size=2) * 0.15
+        boxes = np.array([[*place, 0.75, 4.5, 1.8, 1.5, 0.0]])[: int(seen)]
+        tracker.step(k * PERIOD_NS, [Vehicles3D.of(k * PERIOD_NS, boxes, scores=np.full(len(boxes), 0.8))])
+    (track,) = tracker.tracks()
+    assert track.times_ns[-1] == 589 * PERIOD_NS
