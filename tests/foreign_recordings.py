@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import struct
 from collections.abc import Callable, Mapping
 from fractions import Fraction
 from pathlib import Path
@@ -112,4 +113,23 @@ def restamp_ts(path: Path, frame: int, jump_s: float) -> None:
                     (ticks & 127) << 1 | 1,
                 ]
             )
+    path.write_bytes(data)
+
+
+def edit_mp4(path: Path, *stretches: tuple[float, float]) -> None:
+    """Let an MP4 whose index is at its end show stretches of its media: seconds that each lasts, and where it begins.
+
+    ISO/IEC 14496-12: 8.1 boxes, 8.2.2 ``mvhd``, 8.4.2 ``mdhd``, 8.6.6 ``elst``.
+    """
+    data = bytearray(path.read_bytes())
+    moov, mvhd, trak, edts, mdhd = (data.index(kind) - 4 for kind in (b"moov", b"mvhd", b"trak", b"edts", b"mdhd"))
+    movie, media = (struct.unpack_from(">I", data, at + 20)[0] for at in (mvhd, mdhd))
+    entries = b"".join(
+        struct.pack(">IiI", round(lasts * movie), round(begins * media), 1 << 16) for lasts, begins in stretches
+    )
+    elst = struct.pack(">I4sII", 16 + len(entries), b"elst", 0, len(stretches)) + entries
+    old = struct.unpack_from(">I", data, edts)[0]
+    data[edts : edts + old] = struct.pack(">I4s", 8 + len(elst), b"edts") + elst
+    for box in (moov, trak):
+        struct.pack_into(">I", data, box, struct.unpack_from(">I", data, box)[0] + 8 + len(elst) - old)
     path.write_bytes(data)

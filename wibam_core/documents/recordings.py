@@ -80,6 +80,8 @@ class VideoInfo(Document):
     """Those of them whose stamp is far from those around."""
     hidden_frames: int = 0
     """Frames that the file itself says are not to be shown (edit list)."""
+    stretches: int = 1
+    """How many stretches of a file are shown one after the other, as if no time lay between (edit list)."""
     lead_in_frames: int = 0
     """Frames before the first that decodes by itself, where the recording begins between two of these."""
     missing_s: float = 0.0

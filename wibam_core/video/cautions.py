@@ -110,6 +110,14 @@ def _of_time(info: VideoInfo) -> Iterator[Caution]:
             hint="Check the synchronisation after that moment.",
             details={"at_s": [segment.first_ns / 1e9 for segment in rough]},
         )
+    if info.stretches > 1:
+        yield Caution(
+            code="edited",
+            message=f"its edit list shows {info.stretches} stretches of the file one after the other, as if no time "
+            "lay between",
+            hint="Take the recording as the camera made it: after the first stretch, times lack what was cut out.",
+            details={"stretches": info.stretches},
+        )
     captured = info.captured_fps
     if captured is not None and abs(captured / info.fps - 1) > _OTHER_RATE:
         yield Caution(

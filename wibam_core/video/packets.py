@@ -18,6 +18,7 @@ from av.video.stream import VideoStream
 from numpy.typing import NDArray
 
 from wibam_core.errors import UnreadableVideo
+from wibam_core.video.edits import shown_stretches
 from wibam_core.video.picture import Orientation, Size
 from wibam_core.video.recording import RecordingFile
 from wibam_core.video.source import ns_from_pts, open_video, video_streams
@@ -92,6 +93,7 @@ class FilePackets:
             the decoder has read what was before; not among ``numbers``.
         unstamped: frames without a (sane) stamp.
         missing: frames that the file's index names and that are not there.
+        stretches: how many of it are shown one after the other (edit list).
         said_ns: when its header says that it ends, on its own clock; None where it does not say, or is not to be asked.
         captured_fps: the rate that its header says the camera took pictures at; None where it does not say.
         has_clock: False where the file knows no times, and the usual rate was assumed.
@@ -115,6 +117,7 @@ class FilePackets:
     lead_in_ns: IntArray
     unstamped: int
     missing: int
+    stretches: int
     said_ns: int | None
     captured_fps: float | None
     has_clock: bool
@@ -171,6 +174,8 @@ def read_packets(file: RecordingFile, *, look: bool) -> FilePackets:
         if name == "mov":
             size = file.path.stat().st_size
             missing = sum(entry.pos >= size for entry in stream.index_entries)
+            # FFmpeg passes over what an edit list hides, but for what must be decoded to show the rest
+            reader.hidden += max(stream.frames - reader.packets - missing, 0)
         else:
             missing = max(stream.frames - reader.packets, 0)
         return FilePackets(
@@ -187,6 +192,7 @@ def read_packets(file: RecordingFile, *, look: bool) -> FilePackets:
             lead_in_ns=stamps[: reader.lead_in],
             unstamped=reader.unstamped,
             missing=missing,
+            stretches=shown_stretches(file.path) if name == "mov" else 1,
             said_ns=container.duration * 1000 if name in _SAYING and container.duration else None,
             captured_fps=_captured_fps(container, stream),
             has_clock=name not in _NO_CLOCK,

@@ -86,6 +86,7 @@ def measure(recording: Path | Recording, size_px: Size | None = None) -> tuple[V
         unused_frames=timeline.unused,
         stray_frames=timeline.stray,
         hidden_frames=sum(file.packets.hidden for file in timeline.files),
+        stretches=max(file.packets.stretches for file in timeline.files),
         lead_in_frames=len(packets.lead_in),
         missing_s=sum(_missing_s(file.packets, usual_ns) for file in timeline.files),
         captured_fps=packets.captured_fps,

@@ -5,7 +5,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from tests.foreign_recordings import FPS, copy, number_of, restamp_ts, write
+from tests.foreign_recordings import FPS, copy, edit_mp4, number_of, restamp_ts, write
 from wibam_core.documents.recordings import VideoInfo
 from wibam_core.video.cautions import cautions_of
 from wibam_core.video.decode import decode
@@ -118,6 +118,25 @@ def test_a_trimmed_mp4_is_not_cut_off_and_a_long_lead_in_that_it_hides_is_said(t
     assert caution.code == "frames_hidden" and "24 frames, 33% of the file" in caution.message
     assert codes(info.model_copy(update={"hidden_frames": 1})) == ["frames_hidden"]  # of 49
     assert codes(info.model_copy(update={"hidden_frames": 1, "frames": 60})) == []
+
+
+@pytest.mark.parametrize(
+    ("stretches", "shown", "said"),
+    [
+        ([(2.0, 1.0)], [*range(24, 72)], ["frames_hidden"]),
+        ([(1.0, 0.0)], [*range(24)], ["frames_hidden"]),
+        ([(1.0, 0.0), (1.0, 2.0)], [*range(24), *range(48, 72)], ["frames_hidden", "edited"]),
+        ([(3.0, 0.0)], [*range(72)], []),
+    ],
+    ids=["from", "until", "skip", "all"],
+)
+def test_what_an_edit_list_hides_is_counted_and_a_skip_is_said(tmp_path: Path, stretches, shown, said) -> None:  # type: ignore[no-untyped-def]
+    path = write(tmp_path / "a.mp4", range(72))
+    edit_mp4(path, *stretches)
+    info, _, numbers = read(path)
+    assert numbers == shown
+    assert info.hidden_frames == 72 - len(shown)
+    assert codes(info) == said
 
 
 def test_a_recording_that_begins_between_key_frames_is_normal(tmp_path: Path) -> None:
