@@ -118,6 +118,11 @@ class Boxes2D(NamedTuple):
     amodal_boxes: FloatArray
     amodal_sd: FloatArray
 
+    def where(self, rows: IntArray | NDArray[np.bool_]) -> Boxes2D:
+        """The selected boxes, in the order of ``rows``, or where these are true."""
+        boxes, scores, classes, amodal, amodal_sd = self
+        return Boxes2D(boxes[rows], scores[rows], classes[rows], amodal[rows], amodal_sd[rows])
+
 
 @dataclass(frozen=True, eq=False)
 class Detections2D:

@@ -46,12 +46,7 @@ def seen_once(detected: Mapping[FrameKey, Boxes2D], rig: CameraRig) -> dict[Fram
                 if kept[a][i] and kept[b][j]:
                     first = _quality(rig[one], detected[a].boxes[i]) >= _quality(rig[other], detected[b].boxes[j])
                     kept[b if first else a][j if first else i] = False
-    return {frame: _where(boxes, kept[frame]) for frame, boxes in detected.items()}
-
-
-def _where(found: Boxes2D, kept: NDArray[np.bool_]) -> Boxes2D:
-    boxes, scores, classes, amodal, amodal_sd = found
-    return Boxes2D(boxes[kept], scores[kept], classes[kept], amodal[kept], amodal_sd[kept])
+    return {frame: boxes.where(kept[frame]) for frame, boxes in detected.items()}
 
 
 def _same(one: Camera, boxes: FloatArray, other: Camera, others: FloatArray) -> list[tuple[int, int]]:

@@ -1,13 +1,16 @@
 """What moves, beside what a detector found: candidates for vehicles that no network has to know.
 
-A silhouette is taken for a vehicle where it is as large as one that stands on the ground at its place, and where the
-detector has no box of it. Then it is looked at again beside the still background, as boxes of the bundled detector are.
-Which of these are vehicles, several cameras decide (`rounds.settled`).
+A silhouette is taken for a vehicle where it is as large as one that stands on the ground at its place. It is added
+where the detector has no box of it, and takes the place of a box where it holds that one alone: a detector that
+overlooks much often shows a part of what it finds. One that holds several boxes is several vehicles in a row, whose
+boxes stay. Every silhouette is looked at again beside the still background, as boxes of the bundled detector are. Which
+of these are vehicles, several cameras decide (`rounds.settled`).
 """
 
 from __future__ import annotations
 
 import os
+from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
 from functools import partial
 from itertools import groupby
@@ -21,7 +24,7 @@ from wibam_core.detection.edge_refiner import EdgeRefiner
 from wibam_core.detection.instants import frames_of
 from wibam_core.detection.moving import Stillness
 from wibam_core.detection.one_per_camera import seen_once
-from wibam_core.geometry.boxes2d import areas_px2, image_iou, intersections_px2
+from wibam_core.geometry.boxes2d import areas_px2, image_iou, intersections_px2, non_maximum_suppression
 from wibam_core.geometry.camera import Camera
 from wibam_core.geometry.ground import intersect_plane
 from wibam_core.geometry.outlines import outlines
@@ -38,12 +41,12 @@ _SMALLEST, _LARGEST = (3.4, 1.6, 1.4), (14.0, 2.6, 3.8)
 _LEAST_SHOWN = 0.5
 #: Ways in which a vehicle may stand whose outlines are compared.
 _YAWS = np.arange(4) * np.pi / 4
-#: A box of the detector shows the same where this share of it lies within a silhouette, or of that within it.
+#: A box and a silhouette show the same, too, where this share of one of them lies within the other.
 _SAME_INSIDE = 0.6
 
 
 def beside_what_moves(world: World, detected: Detected, progress: Progress = silent) -> dict[FrameKey, Boxes2D]:
-    """The detector's boxes, and those of vehicles that move and that it has none of; their scores are the least.
+    """The detector's boxes, and silhouettes of vehicles that move, as the module says; new ones have the least score.
 
     Args:
         world: the recording.
@@ -95,28 +98,45 @@ def _with_silhouettes(
     store, camera = world.store, world.rig[frame.camera_id]
     image: Image = store.image_at(*frame)
     boxes = store.to_native_px(frame.camera_id, stillness.silhouettes(image))
-    boxes = boxes[np.flatnonzero(_as_large_as_vehicles(camera, boxes) & ~_shown_by(known.boxes, boxes))]
-    if not len(boxes):
-        return known
-    stored = store.to_stored_px(frame.camera_id, boxes)
-    scores = np.full(len(boxes), world.options.detect.min_score)
-    classes = np.full(len(boxes), RoadUserClass.CAR.number)
-    nms_iou = world.options.detect.nms_iou
-    new = refiner.refine(image, background, Found(stored, scores, classes), nms_iou=nms_iou, classify=True)
-    scale = scale_of(store.size(frame.camera_id), store.native_size(frame.camera_id), 4)
-    native, amodal = (store.to_native_px(frame.camera_id, edges) for edges in (new.boxes, new.amodal_boxes))
-    looked_at = Boxes2D(native, new.scores, new.classes, amodal, new.amodal_sd * scale)
-    rows = np.flatnonzero(image_iou(native, known.boxes).max(axis=1, initial=0.0) <= nms_iou)
-    return Boxes2D(*(np.concatenate([old, of[rows]]) for old, of in zip(known, looked_at, strict=True)))
+    boxes = boxes[np.flatnonzero(_as_large_as_vehicles(camera, boxes))]
+    same = _same(boxes, known.boxes)
+    new = np.flatnonzero(~same.any(axis=1))
+    pairs = same & (same.sum(axis=1, keepdims=True) == 1) & (same.sum(axis=0) == 1)
+    instead, replaced = np.nonzero(pairs)
+    kept = np.setdiff1d(np.arange(len(known.boxes)), replaced)
+
+    def looked_at(found: Found, classify: bool) -> Boxes2D:
+        stored = found._replace(boxes=store.to_stored_px(frame.camera_id, found.boxes))
+        seen = refiner.refine(image, background, stored, nms_iou=options.nms_iou, classify=classify)
+        scale = scale_of(store.size(frame.camera_id), store.native_size(frame.camera_id), 4)
+        native, amodal = (store.to_native_px(frame.camera_id, edges) for edges in (seen.boxes, seen.amodal_boxes))
+        return Boxes2D(native, seen.scores, seen.classes, amodal, seen.amodal_sd * scale)
+
+    options = world.options.detect
+    of_new = Found(
+        boxes[new], np.full(len(new), options.min_score), np.full(len(new), RoadUserClass.CAR.number, dtype=np.int64)
+    )
+    of_pairs = Found(boxes[instead], known.scores[replaced], known.classes[replaced])
+    parts = [
+        known.where(kept),
+        looked_at(of_pairs, classify=options.detector == "bundled"),  # other detectors know more than simulation
+        looked_at(of_new, classify=True),
+    ]
+    joined = _joined(parts)
+    return joined.where(non_maximum_suppression(joined.boxes, joined.scores, options.nms_iou))
 
 
-def _shown_by(known: FloatArray, boxes: FloatArray) -> NDArray[np.bool_]:
-    """(N,) whether silhouettes (N, 4) have boxes (M, 4) already; one of several vehicles in a row has, too."""
+def _joined(parts: Sequence[Boxes2D]) -> Boxes2D:
+    boxes, scores, classes, amodal, amodal_sd = zip(*parts, strict=True)
+    return Boxes2D(*map(np.concatenate, (boxes, scores, classes, amodal, amodal_sd)))
+
+
+def _same(boxes: FloatArray, known: FloatArray) -> NDArray[np.bool_]:
+    """(N, M) whether silhouettes (N, 4) and boxes (M, 4) show the same, or one of them a part of the other."""
     shared = intersections_px2(boxes, known)
     with np.errstate(divide="ignore", invalid="ignore"):
         inside = np.maximum(shared / areas_px2(known), shared / areas_px2(boxes)[:, None])
-    same = (image_iou(boxes, known) > SAME_IOU) | (np.nan_to_num(inside) > _SAME_INSIDE)
-    return np.asarray(same.any(axis=1))
+    return np.asarray((image_iou(boxes, known) > SAME_IOU) | (np.nan_to_num(inside) > _SAME_INSIDE))
 
 
 def _as_large_as_vehicles(camera: Camera, boxes: FloatArray) -> NDArray[np.bool_]:

@@ -155,6 +155,6 @@ def _confirmed(
             frame = frame_of(of, camera_id)
             known = image_iou(seen.boxes, of_detector[frame].boxes).max(axis=1, initial=0.0) > SAME_IOU
             out[camera_id] = ~(confirmed[camera_id] | known)
-            kept[frame] = Boxes2D(*(values[~out[camera_id]] for values in kept[frame]))
+            kept[frame] = kept[frame].where(~out[camera_id])
         left.append(without(instant, out))
     return left

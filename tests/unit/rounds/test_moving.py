@@ -78,15 +78,34 @@ def test_what_is_no_vehicle_by_its_size_is_not(tmp_path: Path, size_m: tuple[flo
     assert sum(len(of.boxes) for of in found.values()) <= 2
 
 
-def test_what_the_detector_found_stays_as_it_is_and_is_not_found_twice(tmp_path: Path) -> None:
+def test_a_silhouette_takes_the_place_of_the_one_box_in_it(tmp_path: Path) -> None:
     world, boxes = recorded(tmp_path, (4.4, 1.8, 1.5))
+    half = np.array([1.0, 1.0, 0.5, 1.0])  # its left half alone
     known = {
         frame: Boxes2D(
-            box + [3.0, -2.0, 5.0, 2.0], np.full(len(box), 0.7), np.full(len(box), 1), box, np.ones_like(box)
+            box * half + np.roll(box, 2, axis=1) * [0, 0, 0.5, 0],
+            np.full(len(box), 0.7),
+            np.full(len(box), 1),
+            box,
+            box,
         )
         for frame, box in boxes.items()
     }
     found = beside_what_moves(world, known)
+    there = [frame for frame in found if len(boxes[frame])]
+    assert all(len(found[frame].boxes) == 1 and found[frame].scores[0] == 0.7 for frame in there)
+    overlaps = [image_iou(found[frame].boxes, boxes[frame]).max() for frame in there]
+    assert np.mean(np.array(overlaps) > 0.6) > 0.9
+
+
+def test_the_boxes_of_several_vehicles_in_a_row_stay(tmp_path: Path) -> None:
+    world, boxes = recorded(tmp_path, (9.0, 2.0, 2.0))
+    known = {}
+    for frame, box in boxes.items():
+        x0, y0, x1, y1 = box.T
+        middle = (x0 + x1) / 2
+        halves = np.concatenate([np.stack([x0, y0, middle, y1], 1), np.stack([middle, y0, x1, y1], 1)])
+        known[frame] = Boxes2D(halves, np.full(len(halves), 0.7), np.full(len(halves), 1), halves, halves)
+    found = beside_what_moves(world, known)
     for frame, of in found.items():
-        for values, expected in zip(of, known[frame], strict=True):
-            np.testing.assert_array_equal(values, expected)
+        np.testing.assert_array_equal(np.sort(of.boxes, axis=0), np.sort(known[frame].boxes, axis=0))
