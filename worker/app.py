@@ -27,6 +27,7 @@ from worker.attacks import ATTACKS, kept_out
 from worker.clips import ClipRunner
 from worker.notice import Notice
 from worker.runner import StageRunner
+from worker.workplace import Workplace
 
 _log = logging.getLogger(__name__)
 confine.keep_secrets()  # the settings are in this process's environment, and stages belong to the same user
@@ -51,9 +52,12 @@ def render_clip(clip_id: str) -> None:
 def _clip_runner() -> ClipRunner:
     """One a process, as `_runner`."""
     database = Database(_settings.database_url)
-    return ClipRunner(
+    return ClipRunner(_workplace(database), ClipStore(database, _settings.leases))
+
+
+def _workplace(database: Database) -> Workplace:
+    return Workplace(
         JobStore(database),
-        ClipStore(database, _settings.leases),
         DataFolder(_settings.data_dir),
         _settings.limits,
         _settings.leases,
@@ -73,17 +77,8 @@ def _presence() -> Presence:
 @cache
 def _runner() -> StageRunner:
     """One a process, made in the process that uses it: database connections do not survive a fork."""
-    database, folder = Database(_settings.database_url), DataFolder(_settings.data_dir)
-    return StageRunner(
-        JobStore(database),
-        LeaseStore(database, _settings.leases),
-        folder,
-        _settings.limits,
-        _settings.leases,
-        JobQueue(app).dispatch,
-        _presence().owner,
-        lambda: _stopping.given,
-    )
+    database = Database(_settings.database_url)
+    return StageRunner(_workplace(database), LeaseStore(database, _settings.leases), JobQueue(app).dispatch)
 
 
 @worker_init.connect

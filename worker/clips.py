@@ -5,24 +5,20 @@ from __future__ import annotations
 import logging
 import sys
 import time
-from collections.abc import Callable
 from pathlib import Path
 
 from sqlalchemy.exc import SQLAlchemyError
 
 from wibam_core.adapters.clip_process import ClipRequest
 from wibam_core.adapters.clip_store import ClipStore
-from wibam_core.adapters.files import DataFolder
-from wibam_core.adapters.job_store import JobStore
 from wibam_core.adapters.lease_store import LostLease
-from wibam_core.adapters.settings import StageLimits
 from wibam_core.artifacts import catalogue
 from wibam_core.documents.clips import ClipFacts
 from wibam_core.errors import Conflict, DiskFull, StageCrashed, StageOutOfMemory, StageTimedOut, WibamError
 from wibam_core.jobs.clips import ClipClaim
-from wibam_core.jobs.leases import LeasePolicy
 from wibam_core.stages.store import StageStore
 from worker.process import Done, Failed, LogLine, Progress, StageProcess
+from worker.workplace import Workplace
 
 _log = logging.getLogger(__name__)
 _POLL_S = 0.2
@@ -37,36 +33,18 @@ class ClipRunner:
     """Renders clips, one call at a time.
 
     Args:
-        jobs, clips: of what is to be rendered.
-        folder: the data folder.
-        limits: what a rendering may take: those of stages.
-        policy: how leases are kept.
-        owner: who this worker is, as `worker.presence.Presence.owner` says it.
-        stopping: whether this worker is asked to end.
+        at: the worker.
+        clips: what is to be rendered.
     """
 
-    def __init__(
-        self,
-        jobs: JobStore,
-        clips: ClipStore,
-        folder: DataFolder,
-        limits: StageLimits,
-        policy: LeasePolicy,
-        owner: str,
-        stopping: Callable[[], bool] = lambda: False,
-    ) -> None:
-        self._jobs = jobs
+    def __init__(self, at: Workplace, clips: ClipStore) -> None:
+        self._at = at
         self._clips = clips
-        self._folder = folder
-        self._store = StageStore(folder.stages)
-        self._limits = limits
-        self._policy = policy
-        self._stopping = stopping
-        self._owner = owner
+        self._store = StageStore(at.folder.stages)
 
     def run(self, clip_id: str) -> bool:
         """Do what a message asks for; returns whether this delivery did the work. A second delivery does nothing."""
-        claim = self._clips.claim(clip_id, self._owner)
+        claim = self._clips.claim(clip_id, self._at.owner)
         if claim is None:
             return False
         try:
@@ -78,10 +56,10 @@ class ClipRunner:
 
     def _render(self, claim: ClipClaim) -> None:
         try:
-            with self._folder.clip_workspace(claim.clip.id) as home:
+            with self._at.folder.clip_workspace(claim.clip.id) as home:
                 request = self._request(claim, Path(home) / "clip.mp4")
                 facts = self._execute(claim, request, Path(home))
-                size, target = request.target.stat().st_size, self._folder.clip(claim.clip.id)
+                size, target = request.target.stat().st_size, self._at.folder.clip(claim.clip.id)
                 self._clips.succeed(claim, facts, size, lambda: request.target.replace(target))
         except _WorkerStops:
             self._clips.release(claim)
@@ -91,7 +69,7 @@ class ClipRunner:
             self._clips.fail(claim, DiskFull(f"the clip could not be written: {error.strerror}"))
 
     def _request(self, claim: ClipClaim, target: Path) -> ClipRequest:
-        job = self._jobs.job(claim.clip.job_id)
+        job = self._at.jobs.job(claim.clip.job_id)
         outputs: dict[str, Path] = {}
         for artifact in _READS:
             stage = job.stage(artifact.stage)
@@ -109,8 +87,8 @@ class ClipRunner:
         process = StageProcess.confined(
             [sys.executable, "-P", "-m", "wibam_core.adapters.clip_process", str(told)],
             home=home,
-            cache=self._folder.cache,
-            nice=self._limits.nice,
+            cache=self._at.folder.cache,
+            nice=self._at.limits.nice,
             reads=tuple(request.outputs.values()),
         )
         try:
@@ -150,17 +128,19 @@ class ClipRunner:
                     self._clips.progress(claim, latest.fraction, latest.message)
                     heard = now
                 except SQLAlchemyError as error:
-                    if now - heard > self._policy.duration_s:
+                    if now - heard > self._at.policy.duration_s:
                         raise LostLease(f"the database has not answered while {claim.clip.id} was rendered") from error
-                next_report = now + min(self._policy.heartbeat_s, 1.0)
+                next_report = now + min(self._at.policy.heartbeat_s, 1.0)
                 self._check(process, now - started)
-            if self._stopping():
+            if self._at.stopping():
                 raise _WorkerStops
 
     def _check(self, process: StageProcess, seconds: float) -> None:
-        if seconds > self._limits.seconds:
-            raise StageTimedOut(f"the clip took longer than {self._limits.seconds:g} s", hint="Ask for a shorter one.")
-        used, allowed = process.memory_bytes(), self._limits.memory_bytes
+        if seconds > self._at.limits.seconds:
+            raise StageTimedOut(
+                f"the clip took longer than {self._at.limits.seconds:g} s", hint="Ask for a shorter one."
+            )
+        used, allowed = process.memory_bytes(), self._at.limits.memory_bytes
         if used > allowed:
             raise StageOutOfMemory(
                 f"the clip took {used / 1e9:.1f} GB of memory, {allowed / 1e9:.1f} GB are allowed",

@@ -10,9 +10,7 @@ from pathlib import Path
 
 from sqlalchemy.exc import DBAPIError, OperationalError, SQLAlchemyError
 
-from wibam_core.adapters.files import DataFolder
 from wibam_core.adapters.job_rows import StageKey
-from wibam_core.adapters.job_store import JobStore
 from wibam_core.adapters.lease_store import LeaseStore, LostLease
 from wibam_core.adapters.logs import JobLog
 from wibam_core.adapters.machine import this_machine
@@ -20,13 +18,12 @@ from wibam_core.adapters.planning import are_dated
 from wibam_core.adapters.records import plain_json
 from wibam_core.adapters.reuse import Reuse, end_with_what_is_there
 from wibam_core.adapters.runs import run_assets
-from wibam_core.adapters.settings import StageLimits
 from wibam_core.config import PipelineConfig
 from wibam_core.documents.warnings import StageWarning
 from wibam_core.errors import StageError, StageOutOfMemory, WibamError
 from wibam_core.job_kind import JobKind
 from wibam_core.jobs.estimate import TimeLimit, check_cost, time_limit
-from wibam_core.jobs.leases import Claim, LeasePolicy
+from wibam_core.jobs.leases import Claim
 from wibam_core.jobs.records import Job, StageRun
 from wibam_core.jobs.states import StageState
 from wibam_core.stages.base import Summary
@@ -37,6 +34,7 @@ from wibam_core.video.recording import Recording, RecordingFile
 from worker.failures import crash, is_full, no_space, system_error, was_killed
 from worker.keeper import LeaseKeeper
 from worker.process import Done, Failed, LogLine, Progress, StageProcess, Warned, system_oom_kills
+from worker.workplace import Workplace
 
 _log = logging.getLogger(__name__)
 _POLL_S = 0.2
@@ -79,40 +77,21 @@ class StageRunner:
     """Runs stages, one call at a time.
 
     Args:
-        jobs, leases: what is to be done, and by whom.
-        folder: the data folder.
-        limits: what a stage may take.
-        policy: how leases are kept.
+        at: the worker.
+        leases: who does what.
         dispatch: told of the stages that became ready.
-        owner: the name under which this process takes stages.
-        stopping: whether this worker is asked to end.
     """
 
-    def __init__(
-        self,
-        jobs: JobStore,
-        leases: LeaseStore,
-        folder: DataFolder,
-        limits: StageLimits,
-        policy: LeasePolicy,
-        dispatch: Callable[[Iterable[StageKey]], None],
-        owner: str,
-        stopping: Callable[[], bool] = lambda: False,
-    ) -> None:
-        self._jobs = jobs
+    def __init__(self, at: Workplace, leases: LeaseStore, dispatch: Callable[[Iterable[StageKey]], None]) -> None:
+        self._at = at
         self._leases = leases
-        self._folder = folder
-        self._store = StageStore(folder.stages)
-        self._limits = limits
-        self._policy = policy
+        self._store = StageStore(at.folder.stages)
         self._dispatch = dispatch
-        self._stopping = stopping
-        self._owner = owner
-        self._reuse = Reuse(leases, folder, owner)
+        self._reuse = Reuse(leases, at.folder, at.owner)
 
     def run(self, key: StageKey) -> bool:
         """Do what a message asks for; returns whether this delivery did the work. A second delivery does nothing."""
-        claim = self._leases.claim(key, self._owner)
+        claim = self._leases.claim(key, self._at.owner)
         if claim is None:
             return False
         try:
@@ -127,19 +106,19 @@ class StageRunner:
     def _tidy(self) -> None:
         try:
             addresses = self._store.addresses()
-            for stage, frame_hash in self._jobs.frame_hashes_to_come():
+            for stage, frame_hash in self._at.jobs.frame_hashes_to_come():
                 addresses -= self._store.addresses_with(stage, frame_hash)
-            self._jobs.drop_unnamed(addresses, self._store.remove)
+            self._at.jobs.drop_unnamed(addresses, self._store.remove)
         except (SQLAlchemyError, OSError) as error:  # the next one tries again
             _log.warning("outputs that nobody needs are left: %s", error)
 
     def _work(self, claim: Claim) -> list[StageKey]:
-        job = self._jobs.job(claim.job_id)
+        job = self._at.jobs.job(claim.job_id)
         stage = job.stage(claim.stage)
         assert stage is not None
         with (
-            JobLog(self._folder.log(job.id)) as log,
-            LeaseKeeper(self._leases, claim, self._policy) as keeper,
+            JobLog(self._at.folder.log(job.id)) as log,
+            LeaseKeeper(self._leases, claim, self._at.policy) as keeper,
         ):
             account = _Account(stage.name, log)
             try:
@@ -151,7 +130,7 @@ class StageRunner:
                 account.write("given back: the worker was asked to end")
                 return self._leases.release(claim)
             except _Killed as killed:
-                if self._policy.after_kill(claim.attempt) is StageState.QUEUED:
+                if self._at.policy.after_kill(claim.attempt) is StageState.QUEUED:
                     account.write(f"{killed.error.message}; it is tried once more")
                     return self._leases.retry(claim, killed.error.message)
                 return self._fail(claim, killed.error, keeper, account)
@@ -185,7 +164,7 @@ class StageRunner:
         ready = end_with_what_is_there(self._leases, self._store, claim, stage.hash, account.write)
         if ready is not None:
             return ready
-        check_cost(job, this_machine(), self._limits.job_seconds)
+        check_cost(job, this_machine(), self._at.limits.job_seconds)
         attempt = self._store.begin(stage.name, stage.hash, stage.frame_hash)
         try:
             account.write(f"started, attempt {claim.attempt}")
@@ -208,9 +187,11 @@ class StageRunner:
         with self._store.temporary(attempt) as home:
             request = self._request(job, stage, attempt)
             oom_kills = system_oom_kills()
-            process = StageProcess.start(request, home=Path(home), cache=self._folder.cache, nice=self._limits.nice)
+            process = StageProcess.start(
+                request, home=Path(home), cache=self._at.folder.cache, nice=self._at.limits.nice
+            )
             try:
-                limits = self._limits
+                limits = self._at.limits
                 allowed = time_limit(
                     job, stage.name, this_machine(), limits.seconds, limits.times_expected, limits.least_seconds
                 )
@@ -265,7 +246,7 @@ class StageRunner:
         if keeper.unwanted:
             process.kill()
             raise _Unwanted
-        if self._stopping():
+        if self._at.stopping():
             process.kill()
             raise _WorkerStops
 
@@ -276,7 +257,7 @@ class StageRunner:
             _log.warning("could not report the progress of %s: %s", claim, error)
 
     def _check_memory(self, stage: str, process: StageProcess) -> None:
-        used, allowed = process.memory_bytes(), self._limits.memory_bytes
+        used, allowed = process.memory_bytes(), self._at.limits.memory_bytes
         if used > allowed:
             process.kill()
             raise StageOutOfMemory(
@@ -297,15 +278,15 @@ class StageRunner:
         recordings = {
             camera: Recording(
                 tuple(
-                    RecordingFile(self._folder.file(file), file.filename, file.started_ns if dated else None)
+                    RecordingFile(self._at.folder.file(file), file.filename, file.started_ns if dated else None)
                     for file in files
                 )
             )
             for camera, files in job.recordings.items()
         }
         if job.kind is JobKind.RUN:
-            assets = run_assets(job, self._folder, self._jobs, self._store)
+            assets = run_assets(job, self._at.folder, self._at.jobs, self._store)
         else:
-            assets = {name: self._folder.file(file) for name, file in job.assets.items()}
+            assets = {name: self._at.folder.file(file) for name, file in job.assets.items()}
         config = PipelineConfig.parse(job.options)
         return StageRequest.of(attempt, job.site, config, recordings, assets, upstream, job.kind)

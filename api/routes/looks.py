@@ -12,7 +12,7 @@ from api.parameters import ONLY_KNOWN_PARAMETERS
 from api.problems import documented
 from api.routes.scene import SceneCameraOut, scene_camera
 from api.services import Services, ServicesDep
-from wibam_core.adapters.glimpses import GlimpseRequest
+from wibam_core.adapters.glimpses import ForeignCalibration, GlimpseRequest
 from wibam_core.documents.calibration import CameraResiduals
 from wibam_core.documents.synchronisation import SeenChange
 from wibam_core.documents.warnings import Caution
@@ -153,25 +153,16 @@ def solve(camera: SiteCamera) -> SolvedCameraOut:
     )
 
 
-@calibration_router.post("/read", summary="Read files of other programs", responses=documented(413, 422))
-def read(given: CalibrationFilesIn) -> ReadCalibrationOut:
+@calibration_router.post("/read", summary="Read files of other programs", responses=documented(413, 422, 503))
+def read(given: CalibrationFilesIn, services: ServicesDep) -> ReadCalibrationOut:
     """What files of other programs say of one camera, as a site has it. Nothing is kept; `solve` tells how it fits.
 
-    As `wibam calibration` does it: the parts that the files leave out are those that the site had.
+    As `wibam calibration` does it: the parts that the files leave out are those that the site had. A process that
+    reaches nothing else reads them.
     """
-    from wibam_core.calibration.foreign.registry import read_named
-    from wibam_core.calibration.foreign.to_site import chosen, describe
-
-    found, formats = [], []
-    for file in given.files:
-        form, cameras = read_named(file.name, file.text)
-        found.append(chosen(cameras, [given.camera.id, *given.names], file.name))
-        formats.append(form)
-    size_px = given.camera.width_px, given.camera.height_px
-    described = describe(given.camera.id, found, size_px, given.camera, given.origin)
-    return ReadCalibrationOut(
-        camera=described.camera, origin=described.origin, formats=formats, notes=list(described.notes)
-    )
+    files = ForeignCalibration.model_validate(given.model_dump(mode="json"))
+    answer, _ = services.glimpses.look(GlimpseRequest(look="calibration"), files.model_dump_json().encode())
+    return ReadCalibrationOut.model_validate(answer)
 
 
 def _recording(services: Services, site_id: str, file_id: str) -> Path:

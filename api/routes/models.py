@@ -52,7 +52,7 @@ def list_models(
 @router.post("", status_code=201, summary="Keep a model", responses=documented(404, 409, 413, 422, 503))
 def keep(body: ModelIn, services: ServicesDep, request: Request, response: Response) -> ModelOut:
     """An upload is opened by a process that reaches nothing else, and kept if it holds a network (safetensors). Its
-    ONNX file is made there, too. The upload is used up.
+    ONNX file is made there, too. The upload is used up. If the site has a network with the same file, it is that one.
     """
     if body.job_id is not None and body.file_id is None and body.site_id is None:
         job = services.jobs.job(body.job_id)

@@ -11,6 +11,7 @@ from tests.clips import clip_job
 from tests.finished import finished_job
 from tests.service import LiveApi
 from worker.clips import ClipRunner
+from worker.workplace import Workplace
 
 #: Draws 40 instants of 60 vehicles in four views, and says what it took.
 DRAWING = (Path(__file__).parent / "drawing.js").read_text()
@@ -97,7 +98,9 @@ def test_a_clip_of_what_is_shown_is_asked_for_and_taken(signed_in: Visit, api: L
     assert (clip.spec.start_ns, clip.spec.end_ns, clip.spec.colour) == (10**9, 25 * 10**8, "speed")
     assert [item.value for item in clip.spec.classes] == ["car"]
     services, settings = api.services, api.services.settings
-    ClipRunner(services.jobs, services.clips, services.folder, settings.limits, settings.leases, "tests").run(clip.id)
+    ClipRunner(
+        Workplace(services.jobs, services.folder, settings.limits, settings.leases, "tests"), services.clips
+    ).run(clip.id)
     with page.expect_download() as download:
         page.get_by_role("link", name="Download the clip 0:01.0 to 0:02.5").click()
     assert download.value.path().read_bytes()[4:8] == b"ftyp"

@@ -19,6 +19,7 @@ from wibam_core.client import WibamClient
 from wibam_core.documents.clips import ClipSpec
 from wibam_core.jobs.clips import ClipState
 from worker.clips import ClipRunner
+from worker.workplace import Workplace
 
 BODY = {"start_ns": 10**9, "end_ns": 2 * 10**9, "width_px": 640}
 
@@ -30,7 +31,9 @@ def job(api: LiveApi) -> str:
 
 def render(api: LiveApi, clip_id: str) -> None:
     services, settings = api.services, api.services.settings
-    ClipRunner(services.jobs, services.clips, services.folder, settings.limits, settings.leases, "tests").run(clip_id)
+    ClipRunner(
+        Workplace(services.jobs, services.folder, settings.limits, settings.leases, "tests"), services.clips
+    ).run(clip_id)
 
 
 def test_a_clip_from_asking_to_deleting(api: LiveApi, job: str) -> None:

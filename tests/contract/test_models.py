@@ -135,6 +135,24 @@ class TestModels:
         if status == 404:
             assert answer.json()["code"] == code
 
+    def test_an_upload_of_a_network_that_the_site_has_is_that_one(self, api: LiveApi, model: dict) -> None:
+        weights = bundled("mono_small.safetensors").read_bytes()
+        site, other = model["site_id"], api.site(cameras=1)
+
+        def kept(at: str) -> dict:
+            api.upload(at, weights, "", purpose="model", filename="again.safetensors")
+            [file] = [one for one in api.services.sites.all_files(at) if one.purpose.value == "model"]
+            answer = api.http.post("/v1/models", json={"site_id": at, "file_id": file.id})
+            assert answer.status_code == 201, answer.text
+            return dict(answer.json())
+
+        before = {one["id"] for one in api.http.get("/v1/models").json()}
+        assert kept(site) == api.http.get(f"/v1/models/{model['id']}").json()
+        first = kept(other)
+        assert kept(other) == first
+        assert {one["id"] for one in api.http.get("/v1/models").json()} - before == {first["id"]}
+        assert first["version"] == 1
+
     def test_an_upload_that_is_no_network_is_refused(self, api: LiveApi, model: dict) -> None:
         api.upload(model["site_id"], b"no network", "", purpose="model", filename="x.safetensors")
         files = api.services.sites.all_files(model["site_id"])

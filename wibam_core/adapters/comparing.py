@@ -61,9 +61,7 @@ class Comparing:
             known=tuple(known),
             cautions=tuple(cautions),
         )
-        header, _ = self.glimpses.look(
-            GlimpseRequest(look="comparison", path=done[1].folder(catalogue.SPLIT.stage), comparison=inputs)
-        )
+        header, _ = self.glimpses.look(GlimpseRequest(look="comparison", comparison=inputs))
         return NetworkComparison.model_validate(header)
 
     def _job_of(self, model: TrainedModel) -> Job:

@@ -15,7 +15,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from wibam_core.adapters.glimpses import ComparisonInputs, GlimpseRequest
+from wibam_core.adapters.glimpses import ComparisonInputs, ForeignCalibration, GlimpseRequest
 from wibam_core.errors import InputError, WibamError
 from wibam_core.formats.model_card import read_card
 from wibam_core.video.seeking import frames_from, read_header
@@ -35,13 +35,15 @@ def main(request: GlimpseRequest) -> tuple[dict[str, object], bytes]:
         return _network(request)
     if request.look == "map":
         return _map(request)
+    if request.look == "calibration":
+        return _calibration(ForeignCalibration.model_validate_json(sys.stdin.buffer.read())), b""
     if request.comparison is not None:
         return _comparison(request.comparison), b""
     if request.look == "header":
-        header = read_header(request.path)
+        header = read_header(request.file)
         return dict(vars(header)), b""
     if request.look == "frame":
-        for time_ns, image in frames_from(request.path, request.start_ns, width_px=request.width_px):
+        for time_ns, image in frames_from(request.file, request.start_ns, width_px=request.width_px):
             return {"time_ns": time_ns}, _jpeg(image)
         raise InputError("the recording has no frame at that time", hint="Ask for an earlier time.")
     return _signals(request), b""
@@ -49,11 +51,31 @@ def main(request: GlimpseRequest) -> tuple[dict[str, object], bytes]:
 
 def _network(request: GlimpseRequest) -> tuple[dict[str, object], bytes]:
     """The card of a network, and its ONNX file, if its family has any."""
-    read_card(request.path)  # most of what is no network is told by its header
+    read_card(request.file)  # most of what is no network is told by its header
     from wibam_core.networks.registry import load_network  # torch takes seconds to import
 
-    network = load_network(request.path)
+    network = load_network(request.file)
     return {"card": network.card.model_dump(mode="json")}, network.onnx() or b""
+
+
+def _calibration(given: ForeignCalibration) -> dict[str, object]:
+    """A camera as files of other programs describe it."""
+    from wibam_core.calibration.foreign.registry import read_named
+    from wibam_core.calibration.foreign.to_site import chosen, describe
+
+    found, formats = [], []
+    for file in given.files:
+        form, cameras = read_named(file.name, file.text)
+        found.append(chosen(cameras, [given.camera.id, *given.names], file.name))
+        formats.append(form)
+    size_px = given.camera.width_px, given.camera.height_px
+    described = describe(given.camera.id, found, size_px, given.camera, given.origin)
+    return {
+        "camera": described.camera.model_dump(mode="json"),
+        "origin": None if described.origin is None else described.origin.model_dump(mode="json"),
+        "formats": formats,
+        "notes": list(described.notes),
+    }
 
 
 def _comparison(inputs: ComparisonInputs) -> dict[str, object]:
@@ -93,7 +115,7 @@ def _map(request: GlimpseRequest) -> tuple[dict[str, object], bytes]:
     """A picture from above, and where its file says that it lies."""
     from wibam_core.formats.map_pictures import read_map_picture
 
-    found = read_map_picture(request.path, _LONGEST_MAP_PX)
+    found = read_map_picture(request.file, _LONGEST_MAP_PX)
     height, width = found.image.shape[:2]
     affine = None if found.affine is None else found.affine.tolist()
     header = {"width_px": width, "height_px": height, "affine": affine, "epsg": found.epsg, "sent_px": found.sent_px}
@@ -114,7 +136,7 @@ def _signals(request: GlimpseRequest) -> dict[str, object]:
 
 def _stretch(request: GlimpseRequest, times: list[int]) -> Iterator[tuple[int, Image]]:
     """The frames of the stretch; their times are noted."""
-    for time_ns, image in frames_from(request.path, request.start_ns):
+    for time_ns, image in frames_from(request.file, request.start_ns):
         if time_ns > request.start_ns + request.duration_ns:
             return
         times.append(time_ns)

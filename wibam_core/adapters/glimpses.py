@@ -17,7 +17,7 @@ from wibam_core.adapters import confine
 from wibam_core.adapters.system_files import system_files
 from wibam_core.config import EvaluateConfig
 from wibam_core.errors import InputError, InvalidWeights, ServiceUnavailable, UnreadableVideo, WibamError
-from wibam_core.site import SignalRegion
+from wibam_core.site import Origin, SignalRegion, SiteCamera
 
 _INHERITED = ("PATH", "LANG", "LC_ALL", "TZ", "LD_LIBRARY_PATH", "VIRTUAL_ENV")
 
@@ -53,13 +53,41 @@ class ComparisonInputs(BaseModel):
         return (*self.first.values(), *self.second.values(), *labels)
 
 
+class ForeignFile(BaseModel):
+    """A file of another program, as text; ``name`` helps to tell its format."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+    name: str
+    text: str
+
+
+class ForeignCalibration(BaseModel):
+    """Files that together describe one camera.
+
+    Attributes:
+        camera: as the site has it.
+        files: of other programs.
+        names: what files with several cameras call this one, beside its id.
+        origin: of the site.
+    """
+
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+    camera: SiteCamera
+    files: tuple[ForeignFile, ...]
+    names: tuple[str, ...] = ()
+    origin: Origin | None = None
+
+
 class GlimpseRequest(BaseModel):
     """What to look for.
 
     Attributes:
         look: "header", the "frame" at a time, or the "signals" of a stretch; of a file of weights the "network"; of a
-            picture from above the "map"; of two networks' jobs their "comparison".
-        path: of the file, the service's own.
+            picture from above the "map"; of two networks' jobs their "comparison"; of files on standard input
+            (`ForeignCalibration`) the "calibration".
+        path: of the file, the service's own; None: there is none.
         start_ns: on the recording's clock. duration_ns: of the stretch.
         width_px: the frame is no wider.
         comparison: what it is made of.
@@ -68,8 +96,8 @@ class GlimpseRequest(BaseModel):
 
     model_config = ConfigDict(extra="forbid", frozen=True)
 
-    look: Literal["header", "frame", "signals", "network", "map", "comparison"]
-    path: Path
+    look: Literal["header", "frame", "signals", "network", "map", "comparison", "calibration"]
+    path: Path | None = None
     start_ns: int = 0
     duration_ns: int = 0
     width_px: int | None = None
@@ -79,7 +107,15 @@ class GlimpseRequest(BaseModel):
     @property
     def reads(self) -> tuple[Path, ...]:
         """All that the process may read."""
-        return (self.path, *(() if self.comparison is None else self.comparison.reads))
+        own = () if self.path is None else (self.path,)
+        return (*own, *(() if self.comparison is None else self.comparison.reads))
+
+    @property
+    def file(self) -> Path:
+        """Of what is in a file."""
+        if self.path is None:
+            raise ValueError(f"a look of the kind {self.look} needs a file")
+        return self.path
 
 
 class Glimpses:
@@ -94,8 +130,8 @@ class Glimpses:
         self._places = threading.BoundedSemaphore(at_once)
         self._patience_s = patience_s
 
-    def look(self, request: GlimpseRequest) -> tuple[dict[str, Any], bytes]:
-        """What `wibam_core.adapters.glimpse.main` answers.
+    def look(self, request: GlimpseRequest, given: bytes = b"") -> tuple[dict[str, Any], bytes]:
+        """What `wibam_core.adapters.glimpse.main` answers; ``given`` is its standard input.
 
         Raises:
             WibamError: whatever the process says is wrong with the recording.
@@ -106,7 +142,12 @@ class Glimpses:
         patience_s = self._patience_s * (_SLOWER_TO_START if request.look == "network" else 1)
         try:
             done = subprocess.run(
-                _command(request), capture_output=True, timeout=patience_s, env=_environment(), check=False
+                _command(request),
+                input=given,
+                capture_output=True,
+                timeout=patience_s,
+                env=_environment(),
+                check=False,
             )
         except subprocess.TimeoutExpired as error:
             hint = "Try again later." if request.look == "network" else "Ask for a shorter stretch."
@@ -119,6 +160,10 @@ class Glimpses:
         except ValueError:
             if request.look == "network":
                 raise InvalidWeights("the file could not be read as a network") from None
+            if request.look == "calibration":
+                raise InputError(
+                    "the files could not be read as a calibration", hint="Send those of one camera alone."
+                ) from None
             if request.look == "comparison":
                 raise InputError("the two networks could not be compared", hint="Restart their jobs.") from None
             if request.look == "map":

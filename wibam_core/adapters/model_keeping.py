@@ -98,7 +98,8 @@ class ModelKeeper:
         return kept
 
     def keep_upload(self, file: StoredFile, name: str) -> TrainedModel:
-        """Keep an uploaded network, once a confined process has found that it is one; the upload is used up.
+        """Keep an uploaded network, once a confined process has found that it is one; the upload is used up. Where the
+        site has a network with the same file, it is that one.
 
         Raises:
             InputError: the file was uploaded for something else.
@@ -109,6 +110,14 @@ class ModelKeeper:
             raise InputError(
                 f"the file was uploaded as {file.purpose}", hint="Upload it with the purpose 'model'.", file=file.id
             )
+        kept = self._models.of_site_and_file(file.site_id, file.sha256)
+        if kept is None:
+            kept = self._keep_new(file, name)
+        with contextlib.suppress(NotFound):
+            self._sites.retire_file(file.site_id, file.id)
+        return kept
+
+    def _keep_new(self, file: StoredFile, name: str) -> TrainedModel:
         path = self._folder.file(file)
         answer, onnx = self._glimpses.look(GlimpseRequest(look="network", path=path))
         new = NewModel(
@@ -127,9 +136,10 @@ class ModelKeeper:
         if onnx:
             (self._folder.model(new.id) / _ONNX).write_bytes(onnx)
         kept = self._models.add(new)
-        assert kept is not None, "an upload comes from no job"
-        with contextlib.suppress(NotFound):
-            self._sites.retire_file(file.site_id, file.id)
+        if kept is None:  # somebody was faster with the same one
+            self._remove_files(new.id)
+            kept = self._models.of_site_and_file(file.site_id, file.sha256)
+            assert kept is not None, "it is the reason why the new one is not kept"
         return kept
 
     def file(self, model: TrainedModel, format: str = "safetensors") -> Path:

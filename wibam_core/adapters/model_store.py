@@ -58,7 +58,9 @@ class ModelStore:
         self._now = now
 
     def add(self, model: NewModel) -> TrainedModel | None:
-        """Keep a network as the next version of its site's; None where the same one of its job is kept already."""
+        """Keep a network as the next version of its site's; None where it is kept already: the same one of its job, or,
+        of an upload, one of the site with the same file.
+        """
         same = (TrainedModelRow.job_id == model.job_id) & (TrainedModelRow.stage_hash == model.stage_hash)
         try:
             with self._database.writing(exclusive=True) as session:
@@ -66,6 +68,8 @@ class ModelStore:
                     select(func.max(TrainedModelRow.version)).where(TrainedModelRow.site_id == model.site_id)
                 )
                 session.execute(delete(TrainedModelRow).where(same, TrainedModelRow.state == _DELETED))
+                if model.job_id is None and _same_file(session, model.site_id, model.sha256) is not None:
+                    return None
                 row = TrainedModelRow(
                     id=model.id,
                     name=records.plain_text(model.name)[:200],
@@ -142,6 +146,12 @@ class ModelStore:
         if not found:
             raise NotFound(f"no model of site {site_id} is promoted", hint="Name a model, or promote one.")
         return found[0]
+
+    def of_site_and_file(self, site_id: str, sha256: str) -> TrainedModel | None:
+        """The oldest network of a site with this file."""
+        with self._database.reading() as session:
+            row = _same_file(session, site_id, sha256)
+            return None if row is None else records.trained_model(row)
 
     def of_file(self, sha256: str) -> TrainedModel | None:
         """A network with this file, the oldest."""
@@ -225,6 +235,11 @@ class ModelStore:
         )
         with self._database.reading() as session:
             return [(job_id, stage_hash) for job_id, stage_hash in session.execute(wanted)]
+
+
+def _same_file(session: Session, site_id: str, sha256: str) -> TrainedModelRow | None:
+    kept = (TrainedModelRow.site_id == site_id, TrainedModelRow.sha256 == sha256, TrainedModelRow.state != _DELETED)
+    return session.scalar(select(TrainedModelRow).where(*kept).order_by(TrainedModelRow.created_at).limit(1))
 
 
 def model_row(session: Session, model_id: str) -> TrainedModelRow:

@@ -26,6 +26,7 @@ from wibam_core.stages.graph import PlannedStage
 from wibam_core.stages.store import StageStore, sha256_of
 from worker.process import StageProcess
 from worker.runner import StageRunner
+from worker.workplace import Workplace
 
 POLICY = LeasePolicy(duration_s=600.0, heartbeat_s=0.2, max_attempts=2)
 LIMITS = StageLimits(memory_bytes=4_000_000_000, seconds=600.0)
@@ -64,16 +65,8 @@ class Service:
         return self.jobs.create(site, options, files, plan)[0]
 
     def runner(self, limits: StageLimits = LIMITS, **values: object) -> StageRunner:
-        return StageRunner(
-            self.jobs,
-            self.leases,
-            self.folder,
-            limits,
-            self.policy,
-            self.dispatched.extend,
-            "worker",
-            **values,  # type: ignore[arg-type]
-        )
+        at = Workplace(self.jobs, self.folder, limits, self.policy, "worker", **values)  # type: ignore[arg-type]
+        return StageRunner(at, self.leases, self.dispatched.extend)
 
 
 def key(job: Job) -> StageKey:

@@ -20,6 +20,7 @@ from wibam_core.errors import NotFound
 from wibam_core.jobs.clips import Clip, ClipState
 from wibam_core.jobs.leases import LeasePolicy
 from worker.clips import ClipRunner
+from worker.workplace import Workplace
 
 SPEC = ClipSpec(start_ns=10**9, end_ns=2 * 10**9, width_px=640)
 LIMITS = StageLimits(memory_bytes=4_000_000_000, seconds=600.0)
@@ -45,7 +46,8 @@ def asked(api: LiveApi, job: str, spec: ClipSpec = SPEC) -> Clip:
 
 def runner(api: LiveApi, limits: StageLimits = LIMITS, **values: object) -> ClipRunner:
     services = api.services
-    return ClipRunner(services.jobs, services.clips, services.folder, limits, POLICY, "tests", **values)  # type: ignore[arg-type]
+    at = Workplace(services.jobs, services.folder, limits, POLICY, "tests", **values)  # type: ignore[arg-type]
+    return ClipRunner(at, services.clips)
 
 
 def left_behind(api: LiveApi) -> list[str]:

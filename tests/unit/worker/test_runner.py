@@ -23,6 +23,7 @@ from wibam_core.jobs.states import JobState, StageState
 from wibam_core.stages.graph import PlannedStage
 from wibam_core.video.encode import VideoWriter
 from worker.runner import StageRunner
+from worker.workplace import Workplace
 
 
 @pytest.fixture
@@ -275,14 +276,11 @@ class TestStopping:
         self, service: Service, recording: Path, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
     ) -> None:
         job, go_on = service.job(recording), tmp_path / "go on"
+        forgetful = LeasePolicy(duration_s=6000.0, heartbeat_s=2000.0)  # it forgets its heartbeats
         slow = StageRunner(
-            service.jobs,
+            Workplace(service.jobs, service.folder, LIMITS, forgetful, "slow"),
             LeaseStore(service.database, LeasePolicy(duration_s=0.4, heartbeat_s=0.1)),
-            service.folder,
-            LIMITS,
-            LeasePolicy(duration_s=6000.0, heartbeat_s=2000.0),  # it forgets its heartbeats
             service.dispatched.extend,
-            "slow",
         )
         with monkeypatch.context() as patched:
             run_instead(patched, f"while not os.path.exists({str(go_on)!r}): time.sleep(0.02)\ndone()")
