@@ -21,6 +21,8 @@ _DATE_TIME = re.compile(
     r"(?<!\d)((?:19|20)\d{2})[-_.]?(\d{2})[-_.]?(\d{2})[-_.T ]{0,3}(\d{2})[-_.:h]?(\d{2})[-_.:m]?(\d{2})(?!\d)"
 )
 
+_CHANNEL = re.compile(r"(?:ch|channel|cam|camera)[ _-]?(\d{1,3})(?!\d)", re.IGNORECASE)
+
 
 @dataclass(frozen=True)
 class Named:
@@ -98,6 +100,11 @@ def _gopro_name(kind: str, video: int, chapter: int) -> str:
 
 
 def _dated(names: Sequence[str]) -> list[Named] | None:
+    """Names with a date and time.
+
+    Raises:
+        UnreadableVideo: they also name several channels of a recorder.
+    """
     named = []
     for name in names:
         match = _DATE_TIME.search(PurePath(name).stem)
@@ -109,6 +116,12 @@ def _dated(names: Sequence[str]) -> list[Named] | None:
             return None
         starts_ns = round(time.timestamp()) * 1_000_000_000
         named.append(Named(name, (starts_ns,), None, starts_ns))
+    channels = {int(match[1]): name for name in names if (match := _CHANNEL.search(_DATE_TIME.sub("", name)))}
+    if len(channels) > 1:
+        raise UnreadableVideo(
+            f"{' and '.join([*channels.values()][:2])} are of different channels, which are no parts of one recording",
+            hint="Give each camera the files of its own channel alone.",
+        )
     return _distinct(named)
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Literal
@@ -13,7 +14,7 @@ from wibam_core.documents.recordings import Segment
 from wibam_core.errors import UnreadableVideo
 from wibam_core.video.chapters import Named, in_order
 from wibam_core.video.packets import FilePackets, read_packets
-from wibam_core.video.recording import Recording
+from wibam_core.video.recording import Recording, RecordingFile
 from wibam_core.video.sampling import nearest_times
 from wibam_core.video.stamps import LONGEST_PAUSE_NS, REORDER_FRAMES, Sorted, run_backwards, sort_stamps
 
@@ -96,6 +97,8 @@ def read_timeline(recording: Recording, *, look: bool = False) -> Timeline:
     Raises:
         UnreadableVideo: a file cannot be read or holds fewer than two frames, or the order of the files is unknown.
     """
+    if look:
+        _check_different(recording)
     read = [read_packets(file, look=look) for file in recording.files]
     for packets in read:
         if len(packets.stamps_ns) < 2 or packets.stamps_ns.min() == packets.stamps_ns.max():
@@ -115,6 +118,23 @@ def read_timeline(recording: Recording, *, look: bool = False) -> Timeline:
     names = [packets.file.name for packets in read]
     order = in_order(names, [packets.created_ns for packets in read])
     return _joined([(read[index], named) for index, named in order])
+
+
+def _check_different(recording: Recording) -> None:
+    """Raises:
+    UnreadableVideo: two files are copies of one.
+    """
+    by_size: dict[int, list[RecordingFile]] = {}
+    for file in recording.files:
+        if file.path.is_file():
+            by_size.setdefault(file.path.stat().st_size, []).append(file)
+    seen: dict[str, str] = {}
+    for file in (file for alike in by_size.values() if len(alike) > 1 for file in alike):
+        with file.path.open("rb") as opened:
+            digest = hashlib.file_digest(opened, "sha256").hexdigest()
+        if digest in seen:
+            raise UnreadableVideo(f"{file.name} is a copy of {seen[digest]}", hint="Leave one of the two out.")
+        seen[digest] = file.name
 
 
 def _started_ns(packets: FilePackets) -> int:

@@ -106,7 +106,7 @@ def test_timecodes_over_midnight(tmp_path: Path) -> None:
 
 
 def test_a_missing_first_chapter_is_named(tmp_path: Path) -> None:
-    paths = [write(tmp_path / f"GX{chapter:02d}0007.MP4", range(20)) for chapter in (2, 3)]
+    paths = [write(tmp_path / f"GX{chapter:02d}0007.MP4", range(chapter, chapter + 20)) for chapter in (2, 3)]
     info, _, _ = read(*paths)
     assert info.missing_files == ["GX010007.MP4"]
     assert "GX010007.MP4" in cautions_of(info)[0].message
@@ -151,7 +151,7 @@ def test_a_missing_number_is_named_where_time_is_missing_too(tmp_path: Path) -> 
 
 def test_files_in_no_order_are_refused(tmp_path: Path) -> None:
     with pytest.raises(UnreadableVideo, match=r"order of .*left\.mp4") as refused:
-        read(write(tmp_path / "left.mp4"), write(tmp_path / "right.mp4"))
+        read(write(tmp_path / "left.mp4"), write(tmp_path / "right.mp4", range(1, 40)))
     assert "Number the names" in refused.value.hint
 
 
@@ -165,3 +165,20 @@ def test_frames_are_found_over_a_joint(tmp_path: Path) -> None:
     for number in (0, 23, 24, 47):
         frame = one_pass.nearest(round(number * STEP_NS), 1_000_000)
         assert frame is not None and number_of(frame.image_bgr) == number
+
+
+def test_a_copy_of_a_file_is_refused_by_name(tmp_path: Path) -> None:
+    first = write(tmp_path / "north_1.mp4", range(24))
+    other = write(tmp_path / "north_2.mp4", range(24, 48))
+    copied = tmp_path / "north_3.mp4"
+    copied.write_bytes(first.read_bytes())
+    with pytest.raises(UnreadableVideo, match=r"north_3\.mp4 is a copy of north_1\.mp4"):
+        measure(Recording.at(first, other, copied))
+
+
+def test_channels_of_a_recorder_are_no_parts_of_one_recording() -> None:
+    names = ["ch01_20240501100000.mp4", "ch02_20240501101000.mp4"]
+    with pytest.raises(UnreadableVideo, match="different channels"):
+        in_order(names, [None, None])
+    of_one = ["ch01_20240501100000_20240501101000.mp4", "ch01_20240501101000_20240501102000.mp4"]
+    assert [index for index, _ in in_order(of_one[::-1], [None, None])] == [1, 0]
