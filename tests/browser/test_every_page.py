@@ -7,7 +7,9 @@ from typing import Any
 import pytest
 
 from tests.browser.conftest import Visit, serious_findings, visit
+from tests.compared_jobs import made_job, tiny_site_with_recordings
 from tests.finished import finished_job
+from tests.labelled_job import TIMES_NS
 from tests.service import LiveApi
 
 PAGES = {
@@ -116,6 +118,15 @@ def test_two_jobs_stand_side_by_side(signed_in: Visit, api: LiveApi, ids: tuple[
     assert row.locator("td").all_inner_texts() == [str(default), "77"]
     page.get_by_role("heading", name="B: longer").wait_for()
     signed_in.picture("compare")
+
+
+def test_two_networks_are_judged_on_the_same_instants(signed_in: Visit, api: LiveApi) -> None:
+    site = tiny_site_with_recordings(api)
+    rough, fine = (made_job(api, site, error_m, TIMES_NS[1:], steps) for error_m, steps in ((0.8, 21), (0.1, 22)))
+    page = signed_in.open(f"/compare?a={rough['job_id']}&b={fine['job_id']}")
+    page.get_by_text("3 instants from 0.4 to 1.2 s, of which neither network learned").wait_for()
+    row = page.locator("#same tr", has=page.get_by_role("rowheader", name="IoU in other views"))
+    assert row.locator("td").last.inner_text().startswith("+0.")
 
 
 def test_the_api_is_documented_for_whoever_has_no_token(tab: Visit, api: LiveApi) -> None:
