@@ -53,4 +53,4 @@ def test_everything_that_can_be_uploaded_is_footage_or_an_asset() -> None:
     assert of_jobs == {name for name, asset in ASSETS.items() if asset.files}
     assert of_runs - of_jobs == {"model", "usual", "open_tracks"}
     assert of_jobs | of_runs == set(ASSETS)
-    assert uploads == of_jobs | {"model"}
+    assert uploads == of_jobs | {"model", "map"}
