@@ -16,7 +16,7 @@ from wibam_core.adapters.job_store import JobStore
 from wibam_core.adapters.model_store import ModelStore, NewModel
 from wibam_core.adapters.results import JobResults
 from wibam_core.adapters.site_store import SiteStore
-from wibam_core.artifacts.catalogue import METRICS, USUAL, WEIGHTS, WEIGHTS_ONNX
+from wibam_core.artifacts.catalogue import CONFLICTS, METRICS, USUAL, WEIGHTS, WEIGHTS_ONNX
 from wibam_core.config import PipelineConfig
 from wibam_core.documents.model_card import ModelCard
 from wibam_core.documents.trained_model import ModelDocument, ModelMetrics, Parent, Training
@@ -26,6 +26,8 @@ from wibam_core.jobs.records import Job, Purpose, StoredFile, TrainedModel
 
 _log = logging.getLogger(__name__)
 WEIGHTS_FILE, USUAL_FILE = "weights.safetensors", "usual.npz"
+#: The conflicts of the job that made a network say how tracks err there.
+TRACK_ERRORS_FILE = "conflicts.json"
 _ONNX = "weights.onnx"
 
 
@@ -77,7 +79,7 @@ class ModelKeeper:
         assert finetune is not None
         finished = self._results.finished(job)
         files = {WEIGHTS_FILE: weights.path}
-        beside = ((_ONNX, WEIGHTS_ONNX), (USUAL_FILE, USUAL))
+        beside = ((_ONNX, WEIGHTS_ONNX), (USUAL_FILE, USUAL), (TRACK_ERRORS_FILE, CONFLICTS))
         files |= {name: finished.local(artifact) for name, artifact in beside if finished.has(artifact)}
         new = NewModel(
             id=records.new_id("model"),

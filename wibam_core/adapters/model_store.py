@@ -23,6 +23,7 @@ from wibam_core.jobs.states import JobState, StageState
 _TERMINAL = [state.value for state in JobState if state.is_terminal]
 #: The row of a deleted network of a job stays, so that the job's is not kept again by itself.
 _DELETED = "deleted"
+_ENDED = [state.value for state in JobState if state.is_terminal]
 _WITH_OUTPUTS = [state.value for state in StageState if state.has_outputs]
 
 
@@ -216,6 +217,8 @@ class ModelStore:
         )
         tracked = select(StageRow.job_id).where(StageRow.name == "track", StageRow.state.in_(_WITH_OUTPUTS))
         evaluated = select(StageRow.job_id).where(StageRow.name == "evaluate", StageRow.state.in_(_WITH_OUTPUTS))
+        # conflicts say how tracks err; where they cannot be had, a job ends without
+        judged = select(StageRow.job_id).where(StageRow.name == "safety", StageRow.state.in_(_WITH_OUTPUTS))
         found = trained.subquery()
         wanted = (
             select(JobRow.id, found.c.hash)
@@ -228,6 +231,7 @@ class ModelStore:
                 JobRow.kind == JobKind.TRAINING.value,
                 JobRow.id.in_(tracked),
                 JobRow.id.in_(evaluated),
+                JobRow.id.in_(judged) | JobRow.state.in_(_ENDED),
                 TrainedModelRow.id.is_(None),
             )
             .order_by(JobRow.created_at.desc())

@@ -10,7 +10,7 @@ from typing import Any
 from wibam_core.adapters.files import DataFolder
 from wibam_core.adapters.job_rows import StageKey
 from wibam_core.adapters.job_store import JobStore, RunOf
-from wibam_core.adapters.model_keeping import USUAL_FILE, WEIGHTS_FILE
+from wibam_core.adapters.model_keeping import TRACK_ERRORS_FILE, USUAL_FILE, WEIGHTS_FILE
 from wibam_core.adapters.model_store import ModelStore
 from wibam_core.adapters.planning import plan_run
 from wibam_core.adapters.site_store import SiteStore
@@ -78,9 +78,7 @@ class Runs:
         chosen = tuple(camera.model_copy(update={"recordings": ()}) for camera in chosen)
         site = record.site.model_copy(update={"cameras": chosen})
         digests = {"model": model.sha256}
-        usual = self._folder.model(model.id) / USUAL_FILE
-        if usual.is_file():
-            digests["usual"] = sha256_of(usual)
+        digests |= {name: sha256_of(path) for name, path in _beside(self._folder, model.id).items()}
         if request.continues is not None:
             digests["open_tracks"] = sha256_of(self._to_go_on(request.continues, record.id, site.camera_ids))
         planned = plan_run(site, request.options, files, digests)
@@ -146,11 +144,17 @@ def run_assets(run: Job, folder: DataFolder, jobs: JobStore, stages: StageStore)
     weights = folder.model(run.model_id) / WEIGHTS_FILE
     if not weights.is_file():
         raise StageError(f"model {run.model_id} is gone", hint="Start another run, with a model that is there.")
-    usual = folder.model(run.model_id) / USUAL_FILE
-    assets = {"model": weights} | ({"usual": usual} if usual.is_file() else {})
+    assets = {"model": weights} | _beside(folder, run.model_id)
     if run.continues is not None:
         assets["open_tracks"] = _open_tracks(jobs.job(run.continues), stages)
     return assets
+
+
+def _beside(folder: DataFolder, model_id: str) -> dict[str, Path]:
+    """What is kept of the place where a network was made, by the names of a run's assets."""
+    known = {"usual": USUAL_FILE, "track_errors": TRACK_ERRORS_FILE}
+    files = {name: folder.model(model_id) / file for name, file in known.items()}
+    return {name: path for name, path in files.items() if path.is_file()}
 
 
 def _open_tracks(run: Job, stages: StageStore) -> Path:

@@ -7,7 +7,7 @@ or ends: where road users come into view or are lost, those who are not seen wou
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import cv2
 import numpy as np
@@ -28,6 +28,8 @@ _AROUND = 5
 _MAX_LOST = 0.25
 #: A track that begins or ends within this of the recording's begin or end is cut by it.
 _CUT_S = 1.0
+#: What lies farther than this from the middle of all that was seen is nobody's place, m: it bounds the area.
+_REACH_M = 500.0
 #: Pieces and holes smaller than so many cells are none.
 _LEAST_CELLS = 6
 
@@ -61,6 +63,20 @@ class AnalysableArea:
         held[inside] = self.cells[tuple(cell[inside].T)]
         return held
 
+    def used_by(
+        self, tracks: Sequence[Track], start_ns: int | None = None, end_ns: int | None = None
+    ) -> AnalysableArea:
+        """The area with what these tracks spent and went in it, from a time on until before another, added."""
+        hours, km = self.road_user_hours, self.road_user_km
+        for track in tracks:
+            first, last = _rows(track, start_ns, end_ns)
+            last = min(last + 1, len(track))  # the step to the state after these belongs to them
+            inside = self.holds(track.boxes[first:last, XY])
+            steps = inside[1:] & inside[:-1]
+            hours += float(np.diff(track.times_ns[first:last])[steps].sum()) / 3.6e12
+            km += float(np.hypot(*np.diff(track.boxes[first:last, XY], axis=0).T)[steps].sum()) / 1e3
+        return replace(self, road_user_hours=hours, road_user_km=km)
+
     def outlines(self) -> list[list[tuple[float, float]]]:
         """Rings of x, y in m around it and around its holes, without the first corner again at the end."""
         # twice as fine, so that a contour, which runs through the middle of cells, keeps to their sides
@@ -74,41 +90,87 @@ class AnalysableArea:
         return rings
 
 
+class SeenGround:
+    """What tracks say of the ground, taken in stretch by stretch: it grows with the ground, not with the footage.
+
+    Args:
+        recorded_ns: (first, last) times of each piece of footage, ascending. Tracks that are cut by its begin or end
+            are not lost there.
+    """
+
+    def __init__(self, recorded_ns: Sequence[tuple[int, int]]) -> None:
+        self._begins, self._ends = np.array(recorded_ns, np.int64).reshape(-1, 2).T
+        #: (N, 2) cells, and (N, 4) of each: states, their summed variance, tracks, tracks that begin or end there.
+        self._cells, self._sums = np.empty((0, 2), np.int64), np.empty((0, 4))
+
+    def see(self, tracks: Sequence[Track], start_ns: int | None = None, end_ns: int | None = None) -> None:
+        """Take in what tracks did from a time on until before another; None: all.
+
+        Of tracks that go on beyond these times at least one state there must be given, too.
+        """
+        cells, sums = [self._cells], [self._sums]
+        for track in tracks:
+            first, last = _rows(track, start_ns, end_ns)
+            if first == last:
+                continue
+            cell = np.floor(track.boxes[first:last, XY] / _CELL_M).astype(np.int64)
+            own, of = np.unique(cell, axis=0, return_inverse=True)
+            of = of.reshape(-1)
+            counts = np.zeros((len(own), 4))
+            np.add.at(counts[:, 0], of, 1.0)
+            np.add.at(counts[:, 1], of, place_sd_m(track)[first:last] ** 2)
+            counts[:, 2] = 1.0
+            counts[of[0], 3] += first == 0 and self._is_inside(int(track.times_ns[0]))
+            counts[of[-1], 3] += last == len(track) and self._is_inside(int(track.times_ns[-1]))
+            cells.append(own)
+            sums.append(counts)
+        self._cells, of = np.unique(np.concatenate(cells), axis=0, return_inverse=True)
+        every = np.concatenate(sums)
+        self._sums = np.stack([np.bincount(of.reshape(-1), column, len(self._cells)) for column in every.T], axis=1)
+
+    def _is_inside(self, time_ns: int) -> bool:
+        """Whether a piece of footage lasts from well before a time until well after it."""
+        cut_ns = int(_CUT_S * 1e9)
+        return bool(((self._begins < time_ns - cut_ns) & (time_ns + cut_ns < self._ends)).any())
+
+    def area(self, config: SafetyConfig) -> AnalysableArea:
+        """The area, as far as it is known now; nobody has spent any time there yet."""
+        hours = float((self._ends - self._begins).sum()) / 3.6e12
+        if not len(self._cells):
+            return AnalysableArea((0.0, 0.0), _CELL_M, np.zeros((1, 1), bool), hours, 0.0, 0.0)
+        order = np.argsort(self._cells, axis=0)
+        weights = np.cumsum(np.take_along_axis(self._sums[:, :1], order, axis=0), axis=0)
+        half = (weights >= 0.5 * weights[-1]).argmax(axis=0)
+        middle = np.take_along_axis(self._cells, order, axis=0)[half, [0, 1]]
+        near = (np.abs(self._cells - middle) <= _REACH_M / _CELL_M).all(axis=1)
+        low = self._cells[near].min(axis=0) - 1
+        grids = np.zeros((4, *(self._cells[near].max(axis=0) - low + 2)))
+        grids[:, *(self._cells[near] - low).T] = self._sums[near].T
+        states = grids[0]
+        around = [uniform_filter(grid, _AROUND, mode="constant") for grid in grids]
+        # who passes through a neighbourhood is counted in each cell of the way: about as many as it is wide
+        passes = around[2] * _AROUND
+        seen = around[0] > 1e-9
+        variance = np.where(seen, around[1] / np.maximum(around[0], 1e-9), np.inf)
+        cells = seen & (np.sqrt(variance) <= config.max_place_sd_m)
+        cells &= around[3] * _AROUND**2 <= _MAX_LOST * passes + 0.5
+        near_way = uniform_filter(states, 3, mode="constant") > 1e-9
+        x, y = (low * _CELL_M).tolist()
+        return AnalysableArea((x, y), _CELL_M, _without_specks(cells & near_way), hours, 0.0, 0.0)
+
+
 def analysable_area(tracks: Sequence[Track], config: SafetyConfig) -> AnalysableArea:
     """The area of a recording with these tracks, those of one clock."""
-    if not tracks:
-        return AnalysableArea((0.0, 0.0), _CELL_M, np.zeros((1, 1), bool), 0.0, 0.0, 0.0)
-    begin, end = min(int(t.times_ns[0]) for t in tracks), max(int(t.times_ns[-1]) for t in tracks)
-    low = np.floor(np.min([t.boxes[:, XY].min(axis=0) for t in tracks], axis=0) / _CELL_M) * _CELL_M - _CELL_M
-    high = np.max([t.boxes[:, XY].max(axis=0) for t in tracks], axis=0)
-    shape = tuple((np.ceil((high - low) / _CELL_M).astype(int) + 2).tolist())
-    states, variances, passed, lost = (np.zeros(shape) for _ in range(4))
-    for track in tracks:
-        cell = np.floor((track.boxes[:, XY] - low) / _CELL_M).astype(int)
-        np.add.at(states, tuple(cell.T), 1.0)
-        np.add.at(variances, tuple(cell.T), place_sd_m(track) ** 2)
-        passed[tuple(np.unique(cell, axis=0).T)] += 1.0
-        if track.times_ns[0] - begin > _CUT_S * 1e9:
-            lost[tuple(cell[0])] += 1.0
-        if end - track.times_ns[-1] > _CUT_S * 1e9:
-            lost[tuple(cell[-1])] += 1.0
-    around = [uniform_filter(grid, _AROUND, mode="constant") for grid in (states, variances, passed, lost)]
-    # who passes through a neighbourhood is counted in each cell of the way: about as many as it is wide
-    passes = around[2] * _AROUND
-    seen = around[0] > 1e-9
-    variance = np.where(seen, around[1] / np.maximum(around[0], 1e-9), np.inf)
-    cells = seen & (np.sqrt(variance) <= config.max_place_sd_m)
-    cells &= around[3] * _AROUND**2 <= _MAX_LOST * passes + 0.5
-    near_way = uniform_filter(states, 3, mode="constant") > 1e-9
-    cells = _without_specks(cells & near_way)
-    area = AnalysableArea((float(low[0]), float(low[1])), _CELL_M, cells, (end - begin) / 3.6e12, 0.0, 0.0)
-    hours = km = 0.0
-    for track in tracks:
-        inside = area.holds(track.boxes[:, XY])
-        steps = inside[1:] & inside[:-1]
-        hours += float(np.diff(track.times_ns)[steps].sum()) / 3.6e12
-        km += float(np.hypot(*np.diff(track.boxes[:, XY], axis=0).T)[steps].sum()) / 1e3
-    return AnalysableArea(area.origin_m, _CELL_M, cells, area.hours, hours, km)
+    times = [(int(t.times_ns[0]), int(t.times_ns[-1])) for t in tracks]
+    ground = SeenGround([(min(first for first, _ in times), max(last for _, last in times))] if times else [])
+    ground.see(tracks)
+    return ground.area(config).used_by(tracks)
+
+
+def _rows(track: Track, start_ns: int | None, end_ns: int | None) -> tuple[int, int]:
+    """The first state from a time on, and the first from another on; None: all."""
+    first = 0 if start_ns is None else int(np.searchsorted(track.times_ns, start_ns))
+    return first, len(track) if end_ns is None else int(np.searchsorted(track.times_ns, end_ns))
 
 
 def _without_specks(cells: NDArray[np.bool_]) -> NDArray[np.bool_]:

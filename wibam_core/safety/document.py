@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import math
+from collections import Counter
 from collections.abc import Sequence
 from dataclasses import asdict
+from typing import Any
 
 import numpy as np
 
@@ -41,6 +43,22 @@ def conflicts_document(
         ),
         track_errors=asdict(errors or TrackErrors()),
     )
+
+
+def summary_of(document: Conflicts) -> dict[str, Any]:
+    """How many conflicts, of which kinds, and what they are of, of a document with an area."""
+    conflicts, exposure = document.conflicts, document.exposure
+    assert exposure is not None
+    kinds = Counter(conflict.type for conflict in conflicts)
+    road_users = Counter(" and ".join(sorted(conflict.classes)) for conflict in conflicts)
+    return {
+        "conflicts": len(conflicts),
+        "conflicts_elsewhere": exposure.conflicts_elsewhere,
+        "analysable_m2": exposure.area_m2,
+        "road_user_hours": round(exposure.road_user_hours, 4),
+        "by_type": dict(sorted(kinds.items())),
+        "by_road_users": dict(sorted(road_users.items())),
+    }
 
 
 def _row(number: int, conflict: Conflict) -> ConflictRow:

@@ -52,6 +52,7 @@ _ALL = (
     # those of a run; a site's folder holds none of them
     Asset("model", ()),
     Asset("usual", ()),
+    Asset("track_errors", ()),
     Asset("open_tracks", ()),
 )
 

@@ -253,7 +253,13 @@ RUN_STAGES: Mapping[str, StageSpec] = MappingProxyType(
                 assets=("model", "usual", "open_tracks"),
                 module="watch",
             ),
-            StageSpec("safety", "Find conflicts", (catalogue.TRACKS,), module="watch_safety"),
+            StageSpec(
+                "safety",
+                "Find conflicts",
+                (catalogue.TRACKS, catalogue.WATCHED),
+                assets=("track_errors",),
+                module="watch_safety",
+            ),
         )
     }
 )

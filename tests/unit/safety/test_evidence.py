@@ -11,7 +11,7 @@ from tests.unit.safety.test_conflicts import straight
 from wibam_core.config import SafetyConfig
 from wibam_core.road_users import RoadUserClass
 from wibam_core.safety import evidence, pairs
-from wibam_core.safety.area import analysable_area
+from wibam_core.safety.area import SeenGround, analysable_area
 from wibam_core.safety.conflicts import find_conflicts
 from wibam_core.safety.measured_errors import measured_errors
 from wibam_core.safety.pairs import approaching, crossing
@@ -159,3 +159,50 @@ def test_what_is_left_out_early_would_not_have_been_told(monkeypatch: pytest.Mon
     monkeypatch.setattr(pairs, "_may_be_critical", lambda every, i, j, config, errors: np.ones(len(i), bool))
     monkeypatch.setattr(evidence, "_NEXT_TO_IMPOSSIBLE", -1.0)
     assert find_conflicts(tracks, config) == told
+
+
+def test_ground_seen_in_stretches_is_the_ground_seen_at_once() -> None:
+    rng, tracks = np.random.default_rng(3), []
+    for number in range(60):
+        t = np.arange(0, 8, 1 / HZ)
+        one = track(number, 9 * t - 36, 0 * t + rng.normal(), 0.1, 1.0)
+        tracks.append(replace(one, times_ns=one.times_ns + number * 3_000_000_000))
+    whole = analysable_area(tracks, SafetyConfig())
+    assert whole.area_m2 > 100
+    end = int(tracks[-1].times_ns[-1])
+    ground, step = SeenGround([(0, end)]), 50_000_000_000
+    for start in range(0, end + 1, step):
+        ground.see(tracks, start, start + step)
+    area = ground.area(SafetyConfig())
+    for start in range(0, end + 1, step):
+        area = area.used_by(tracks, start, start + step)
+    # somebody who crosses from one stretch into the next is counted as passing in both
+    assert area.area_m2 == pytest.approx(whole.area_m2, rel=0.05)
+    assert area.hours == whole.hours
+    assert area.road_user_km == pytest.approx(whole.road_user_km, rel=0.05)
+    again = replace(whole, road_user_hours=0.0, road_user_km=0.0)
+    for start in range(0, end + 1, step):
+        again = again.used_by(tracks, start, start + step)
+    assert again.road_user_km == pytest.approx(whole.road_user_km)
+
+
+def test_who_is_far_beyond_everybody_does_not_stretch_the_ground() -> None:
+    t = np.arange(0, 8, 1 / HZ)
+    tracks = [track(n, 9 * t - 36, 0 * t, 0.1, 1.0) for n in range(5)]
+    area = analysable_area([*tracks, track(9, 9 * t + 4e6, 0 * t - 7e6, 0.1, 1.0)], SafetyConfig())
+    assert area.cells.size < 500
+    assert area.outlines() == analysable_area(tracks, SafetyConfig()).outlines()
+
+
+def test_where_footage_begins_and_ends_nobody_is_lost() -> None:
+    t = np.arange(0, 8, 1 / HZ)
+    tracks = [track(n, 9 * t - 36, 0 * t, 0.1, 1.0) for n in range(9)]
+    later = [replace(one, times_ns=one.times_ns + 100_000_000_000) for one in tracks]
+    seconds = [(0, int(tracks[0].times_ns[-1])), (100_000_000_000, int(later[0].times_ns[-1]))]
+
+    def area_m2(recorded_ns: list[tuple[int, int]]) -> float:
+        ground = SeenGround(recorded_ns)
+        ground.see([*tracks, *later])
+        return ground.area(SafetyConfig()).area_m2
+
+    assert area_m2(seconds) > 1.1 * area_m2([(seconds[0][0], seconds[1][1])])

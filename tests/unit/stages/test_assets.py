@@ -51,6 +51,6 @@ def test_everything_that_can_be_uploaded_is_footage_or_an_asset() -> None:
     of_jobs, of_runs = ({a for spec in stages.values() for a in spec.assets} for stages in (STAGES, RUN_STAGES))
     uploads = {purpose.value for purpose in Purpose} - {"recording", "footage"}
     assert of_jobs == {name for name, asset in ASSETS.items() if asset.files}
-    assert of_runs - of_jobs == {"model", "usual", "open_tracks"}
+    assert of_runs - of_jobs == {"model", "usual", "track_errors", "open_tracks"}
     assert of_jobs | of_runs == set(ASSETS)
     assert uploads == of_jobs | {"model", "map"}

@@ -127,10 +127,18 @@ def test_files_of_a_camera_are_one_piece_of_footage_on_unix_time(runs: Runs) -> 
 
 
 def test_a_camera_that_was_off_does_not_blind_the_other(runs: Runs) -> None:
-    tracks, watched = read(runs.run({"cam1": runs.files(0.0, 20.0), "cam2": runs.files(0.0)}))
+    errors = runs.root / "conflicts.json"
+    errors.write_text('{"thresholds": {}, "conflicts": [], "track_errors": {"along": 1.7, "along_s": 0.6}}')
+    outputs = runs.run({"cam1": runs.files(0.0, 20.0), "cam2": runs.files(0.0)}, track_errors=errors)
+    tracks, watched = read(outputs)
     assert watched.instants == 100
     assert {name: camera.images for name, camera in watched.cameras.items()} == {"cam1": 100, "cam2": 50}
     assert [len(track) for track in tracks] == [100, 100]
+    conflicts = outputs.read(catalogue.CONFLICTS)
+    assert conflicts.track_errors is not None
+    assert conflicts.track_errors["along"] == 1.7
+    assert conflicts.exposure is not None
+    assert conflicts.exposure.hours == pytest.approx(40 / 3600, rel=0.02)
 
 
 def test_the_next_run_goes_on_with_the_same_ids(runs: Runs) -> None:
