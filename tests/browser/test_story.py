@@ -5,24 +5,32 @@ What is clicked and typed is what a person would: the API is only asked what bec
 
 from __future__ import annotations
 
+import csv
+import io
 import json
 import re
+import zipfile
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import pytest
+from PIL import Image, ImageDraw
 
-from tests.browser.conftest import serious_findings, visit
+from tests.browser.conftest import Visit, serious_findings, visit
 from wibam_core.calibration.rig import solve_camera
 from wibam_core.cli.embedded import EmbeddedService
 from wibam_core.client import WibamClient
 from wibam_core.config import CalibrateConfig
+from wibam_core.formats.labels import read_labels
 from wibam_core.geometry.camera import Camera
 from wibam_core.site import Site
 from wibam_core.synthetic.options import SimulationOptions
 from wibam_core.synthetic.recorder import record_site
+
+if TYPE_CHECKING:
+    from playwright.sync_api import Page
 
 pytestmark = [pytest.mark.end_to_end, pytest.mark.slow]
 
@@ -61,6 +69,40 @@ def site_folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def service(tmp_path_factory: pytest.TempPathFactory) -> Iterator[EmbeddedService]:
     with EmbeddedService(tmp_path_factory.mktemp("service") / "data") as running:
         yield running
+
+
+def draw_map(folder: Path) -> tuple[Path, Path]:
+    """Two roads that cross, 80 m wide at 10 cm a pixel, and its world file: the world's origin is in the middle."""
+    picture = Image.new("RGB", (800, 800), (196, 207, 186))
+    draw = ImageDraw.Draw(picture)
+    for across in ((0, 310, 800, 490), (310, 0, 490, 800)):
+        draw.rectangle(across, (150, 152, 156))
+    picture.save(folder / "crossing.png")
+    (folder / "crossing.pgw").write_text("0.1\n0\n0\n-0.1\n-39.95\n39.95\n")
+    return folder / "crossing.png", folder / "crossing.pgw"
+
+
+def look(tab: Visit, name: str, *, phone: bool = False) -> None:
+    """Nothing serious for axe-core on a page with what a real job made, and pictures of it for a person to look at."""
+    page = tab.page
+    assert serious_findings(page) == []
+    tab.picture(f"story-{name}")
+    page.emulate_media(color_scheme="dark")
+    page.wait_for_timeout(200)  # canvases are drawn anew
+    tab.picture(f"story-{name}-dark")
+    page.emulate_media(color_scheme="light")
+    if phone:
+        page.set_viewport_size({"width": 390, "height": 800})
+        page.wait_for_timeout(200)
+        tab.picture(f"story-{name}-phone")
+        page.set_viewport_size({"width": 1280, "height": 860})
+
+
+def taken(page: Page, role: str, name: str | re.Pattern[str]) -> bytes:
+    """What a click downloads."""
+    with page.expect_download() as download:
+        page.get_by_role(role, name=name).click()  # type: ignore[arg-type]
+    return download.value.path().read_bytes()
 
 
 def surveyed(camera: Camera) -> list[tuple[np.ndarray, np.ndarray]]:
@@ -104,7 +146,7 @@ def calibrate(page: Any, camera: Camera, signals: list[Any]) -> None:
 
 
 def test_from_recordings_to_a_reviewed_table_and_a_video(
-    playwright_browser: Any, service: EmbeddedService, site_folder: Path
+    playwright_browser: Any, service: EmbeddedService, site_folder: Path, tmp_path: Path
 ) -> None:
     described = Site.load(site_folder / "site.json")
     rig = {one.id: solve_camera(one, CalibrateConfig()).camera for one in described.cameras}
@@ -126,9 +168,17 @@ def test_from_recordings_to_a_reviewed_table_and_a_video(
             page.get_by_role("link", name="Calibrate and signals").nth(number).click()
             page.get_by_role("heading", name=f"Camera {camera.id}").wait_for()
             calibrate(page, one, list(camera.signals))
-            assert serious_findings(page) == []
+            if number == 0:
+                picture, world_file = draw_map(tmp_path)
+                page.locator("#map-file").set_input_files(picture)
+                page.get_by_text("crossing.png has no place yet").wait_for()
+                page.locator("#world-file").set_input_files(world_file)
+                page.get_by_text("crossing.png is placed by its world file").wait_for()
+                look(tab, "camera")
             page.get_by_role("link", name="Story").click()
             page.get_by_role("heading", name="Story").wait_for()
+        page.wait_for_load_state("networkidle")
+        look(tab, "site")
         # a job
         page.get_by_label("Name", exact=True).fill("first")
         page.get_by_label("Training steps").fill("4")
@@ -138,13 +188,15 @@ def test_from_recordings_to_a_reviewed_table_and_a_video(
         page.get_by_role("button", name="Start").click()
         page.get_by_role("heading", name="first").wait_for()
         succeed(page)
+        look(tab, "job", phone=True)
         # look at it
         tabs = page.get_by_role("navigation", name="This job")
         tabs.get_by_role("link", name="Preflight").click()
         page.get_by_text(re.compile("^All cameras record from")).wait_for()
+        look(tab, "preflight", phone=True)
         tabs.get_by_role("link", name="Instants").click()
         page.get_by_text(re.compile(r"\d+ 2D boxes, \d+ vehicles")).wait_for()
-        assert serious_findings(page) == []
+        look(tab, "instants")
         # label an instant of the test part from the proposals, and evaluate with it
         tabs.get_by_role("link", name="Labelling").click()
         page.get_by_label("Your name").fill("anna")
@@ -152,44 +204,55 @@ def test_from_recordings_to_a_reviewed_table_and_a_video(
         page.get_by_text("not labelled yet").wait_for()
         page.get_by_role("button", name="Take the proposals").click()
         page.get_by_text("saved as version 1").wait_for()
-        assert serious_findings(page) == []
+        look(tab, "labelling")
         page.get_by_role("button", name="Finish").click()
         page.get_by_role("button", name="Finished").wait_for()
         page.get_by_text(re.compile("saved as version [23]")).wait_for()
+        labels = {name: taken(page, "link", name) for name in ("labels.parquet", "COCO", "WIBAM layout")}
+        (tmp_path / "labels.parquet").write_bytes(labels["labels.parquet"])
+        [instant] = read_labels(tmp_path / "labels.parquet")
+        shown = instant.visibility.values()
+        coco = json.loads(unpacked(labels["COCO"], r".*\.json"))
+        assert len(coco["annotations"]) == sum(int((shares > 0).sum()) for shares in shown) > 0
+        assert json.loads(unpacked(labels["WIBAM layout"], "(.*/)?hand_labels/.*"))
         page.get_by_role("button", name="Evaluate with these labels").click()
         page.wait_for_url(re.compile("/jobs/job_[0-9a-f]+$"))
         succeed(page)
         tabs.get_by_role("link", name="Results").click()
         page.get_by_role("row", name=re.compile("^Recall")).wait_for()
-        assert serious_findings(page) == []
+        page.wait_for_load_state("networkidle")
+        look(tab, "results", phone=True)
         # review a conflict, in the player and in the table, and export
         tabs.get_by_role("link", name="Conflicts").click()
         page.get_by_role("link", name=re.compile("open in the player")).first.click()
         page.get_by_role("heading", name="Chosen").wait_for()
         page.get_by_text(re.compile("^Conflict [0-9]+: ")).wait_for()
-        assert serious_findings(page) == []
+        page.wait_for_load_state("networkidle")
+        look(tab, "player", phone=True)
         page.get_by_label("Clip from, s").fill("2")
         page.get_by_label("Clip to, s").fill("4")
         page.get_by_label("Width").select_option("960")
         page.get_by_role("button", name="Render").click()
-        film = page.get_by_role("link", name=re.compile("^Download the clip"))
-        film.wait_for(timeout=120_000)
-        with page.expect_download() as taken:
-            film.click()
-        assert taken.value.path().read_bytes()[4:8] == b"ftyp"
+        page.get_by_role("link", name=re.compile("^Download the clip")).wait_for(timeout=120_000)
+        assert taken(page, "link", re.compile("^Download the clip"))[4:8] == b"ftyp"
         tabs.get_by_role("link", name="Conflicts").click()
         page.get_by_role("button", name=re.compile(r"^Conflict \d+: confirmed")).first.click()
         page.get_by_text(re.compile("1 reviewed")).wait_for()
-        assert serious_findings(page) == []
-        with page.expect_download() as taken:
-            page.get_by_role("link", name="Reviewed table (CSV)").click()
-        assert "confirmed" in taken.value.path().read_text()
+        look(tab, "conflicts", phone=True)
+        table = list(csv.DictReader(io.StringIO(taken(page, "link", "Reviewed table (CSV)").decode())))
+        assert [row["verdict"] for row in table].count("confirmed") == 1
         job_id = re.findall("job_[0-9a-f]+", page.url)[0]
         assert tab.complaints == []
     with WibamClient(service.url, service.token) as client:
         metrics = client.metrics(job_id)
         assert metrics.labelled_instants.given == 1
         assert client.files(client.job(job_id).site_id)
+
+
+def unpacked(archive: bytes, name: str) -> bytes:
+    """The first file of a zip archive whose name is like that."""
+    with zipfile.ZipFile(io.BytesIO(archive)) as files:
+        return files.read(next(one for one in sorted(files.namelist()) if re.fullmatch(name, one)))
 
 
 def succeed(page: Any) -> None:

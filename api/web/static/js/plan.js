@@ -1,44 +1,35 @@
 // The ground seen from above: a canvas that can be moved and enlarged by mouse and keys. World X is to the right, Y is up.
+import { CanvasView } from "./canvasview.js";
 
 /** A token's colour, as it stands now. @param {string} name */
 export function token(name) {
   return getComputedStyle(document.documentElement).getPropertyValue(name).trim();
 }
 
-/** A plan on a canvas. */
-export class Plan {
+/** A plan on a canvas. Coordinates are the world's, m. */
+export class Plan extends CanvasView {
   /**
    * @param {HTMLCanvasElement} canvas
    * @param {(plan: Plan, context: CanvasRenderingContext2D) => void} draw what stands on the ground; it is called whenever something changes
    */
   constructor(canvas, draw) {
-    this.canvas = canvas;
+    super(canvas);
     this.content = draw;
     this.centre = [0, 0];
     this.pxPerM = 8;
-    /** Called with a world point where one clicks. @type {(point: number[], event: MouseEvent) => void} */
-    this.onclick = () => {};
-    /** Called with a world point where a drag may begin; says whether it is taken, or else moves the plan. @type {(point: number[], event: PointerEvent) => boolean} */
-    this.ondown = () => false;
-    /** @type {(point: number[], event: PointerEvent) => void} */
-    this.ondrag = () => {};
-    /** @type {(point: number[], event: PointerEvent) => void} */
-    this.onup = () => {};
     /** Beneath everything. @type {import("./maplayer.js").MapLayer|null} */
     this.map = null;
-    this.pending = false;
-    this.#listen();
     new ResizeObserver(() => this.redraw()).observe(canvas);
     document.addEventListener("wibam-theme", () => this.redraw());
   }
 
-  /** World x, y to canvas px. @param {number[]} point @returns {number[]} */
+  /** @param {number[]} point @returns {number[]} */
   toCanvas(point) {
     return [this.canvas.width / 2 + (point[0] - this.centre[0]) * this.pxPerM, this.canvas.height / 2 - (point[1] - this.centre[1]) * this.pxPerM];
   }
 
-  /** Canvas px to world x, y. @param {number[]} pixel @returns {number[]} */
-  toWorld(pixel) {
+  /** @param {number[]} pixel @returns {number[]} */
+  fromCanvas(pixel) {
     return [this.centre[0] + (pixel[0] - this.canvas.width / 2) / this.pxPerM, this.centre[1] - (pixel[1] - this.canvas.height / 2) / this.pxPerM];
   }
 
@@ -53,19 +44,8 @@ export class Plan {
     this.redraw();
   }
 
-  /** Draw again, once, before the next picture is shown. */
-  redraw() {
-    if (this.pending) return;
-    this.pending = true;
-    requestAnimationFrame(() => {
-      this.pending = false;
-      this.drawNow();
-    });
-  }
-
-  drawNow() {
-    const context = this.canvas.getContext("2d");
-    if (!context) return;
+  /** @param {CanvasRenderingContext2D} context */
+  paint(context) {
     context.fillStyle = token("--sheet");
     context.fillRect(0, 0, this.canvas.width, this.canvas.height);
     this.map?.draw(this, context);
@@ -74,21 +54,10 @@ export class Plan {
     this.#scale(context);
   }
 
-  /** A way through world points. @param {CanvasRenderingContext2D} context @param {number[][]} points @param {boolean} [closed] */
-  trace(context, points, closed = false) {
-    context.beginPath();
-    points.forEach((point, index) => {
-      const [x, y] = this.toCanvas(point);
-      if (index) context.lineTo(x, y);
-      else context.moveTo(x, y);
-    });
-    if (closed) context.closePath();
-  }
-
   /** @param {CanvasRenderingContext2D} context */
   #grid(context) {
     const step = [1, 2, 5, 10, 20, 50, 100, 200, 500, 1000].find((value) => value * this.pxPerM >= 34) ?? 2000;
-    const [left, top] = this.toWorld([0, 0]), [right, bottom] = this.toWorld([this.canvas.width, this.canvas.height]);
+    const [left, top] = this.fromCanvas([0, 0]), [right, bottom] = this.fromCanvas([this.canvas.width, this.canvas.height]);
     context.strokeStyle = token("--line");
     context.lineWidth = 1;
     context.beginPath();
@@ -119,59 +88,23 @@ export class Plan {
     context.fillText(`${step} m`, 20, y - 5);
   }
 
-  /** Pixel of the canvas under the mouse. @param {MouseEvent} event @returns {number[]} */
-  pixelOf(event) {
-    const box = this.canvas.getBoundingClientRect();
-    return [((event.clientX - box.left) * this.canvas.width) / box.width, ((event.clientY - box.top) * this.canvas.height) / box.height];
-  }
-
   /** @param {number[]} pixel @param {number} factor */
   zoom(pixel, factor) {
-    const before = this.toWorld(pixel);
+    const before = this.fromCanvas(pixel);
     this.pxPerM = Math.min(400, Math.max(0.2, this.pxPerM * factor));
-    const after = this.toWorld(pixel);
+    const after = this.fromCanvas(pixel);
     this.centre = [this.centre[0] + before[0] - after[0], this.centre[1] + before[1] - after[1]];
     this.redraw();
   }
 
-  #listen() {
-    const canvas = this.canvas;
-    canvas.tabIndex = 0;
-    let from = /** @type {number[]|null} */ (null), moved = false, taken = false;
-    canvas.addEventListener("pointerdown", (event) => { from = this.pixelOf(event); moved = false; taken = event.button === 0 && this.ondown(this.toWorld(from), event); canvas.setPointerCapture(event.pointerId); });
-    canvas.addEventListener("pointermove", (event) => {
-      if (!from) return;
-      const to = this.pixelOf(event);
-      if (!moved && Math.hypot(to[0] - from[0], to[1] - from[1]) < 4) return;
-      moved = true;
-      if (taken) { this.ondrag(this.toWorld(to), event); return; }
-      this.centre = [this.centre[0] - (to[0] - from[0]) / this.pxPerM, this.centre[1] + (to[1] - from[1]) / this.pxPerM];
-      from = to;
-      this.redraw();
-    });
-    canvas.addEventListener("pointerup", (event) => {
-      if (from && !moved && !taken) this.onclick(this.toWorld(this.pixelOf(event)), event);
-      if (taken) this.onup(this.toWorld(this.pixelOf(event)), event);
-      from = null;
-      taken = false;
-    });
-    canvas.addEventListener("wheel", (event) => {
-      event.preventDefault();
-      this.zoom(this.pixelOf(event), Math.exp(-event.deltaY * 0.0015));
-    }, { passive: false });
-    canvas.addEventListener("keydown", (event) => {
-      const by = 60 / this.pxPerM, middle = [canvas.width / 2, canvas.height / 2];
-      const moves = /** @type {Object<string, () => void>} */ ({
-        ArrowLeft: () => { this.centre[0] -= by; }, ArrowRight: () => { this.centre[0] += by; },
-        ArrowUp: () => { this.centre[1] += by; }, ArrowDown: () => { this.centre[1] -= by; },
-        "+": () => this.zoom(middle, 1.25), "-": () => this.zoom(middle, 0.8),
-      });
-      if (!moves[event.key] || event.ctrlKey || event.metaKey || event.altKey) return;
-      event.preventDefault();
-      event.stopPropagation();
-      moves[event.key]();
-      this.redraw();
-    });
+  /** @param {number} right @param {number} down */
+  pan(right, down) {
+    this.centre = [this.centre[0] - right / this.pxPerM, this.centre[1] + down / this.pxPerM];
+    this.redraw();
+  }
+
+  keys() {
+    return { ...super.keys(), ArrowLeft: () => this.pan(60, 0), ArrowRight: () => this.pan(-60, 0), ArrowUp: () => this.pan(0, 60), ArrowDown: () => this.pan(0, -60) };
   }
 }
 
