@@ -119,6 +119,7 @@ def test_only_finished_instants_are_exported(api: LiveApi, job: str, tmp_path: A
         assert set(instant.visibility) == {"north", "east", "south"}
     coco = api.http.get(f"{address}/coco", params={"set": "exported"}).json()
     assert {one["track_id"] for one in coco["annotations"]} == {7}
+    assert len(coco["annotations"]) == sum(int((shares > 0).sum()) for shares in instant.visibility.values())
     layout = zipfile.ZipFile(io.BytesIO(api.http.get(f"{address}/wibam-dataset", params={"set": "exported"}).content))
     objects = [json.loads(layout.read(name)) for name in layout.namelist() if "hand_labels" in name]
     assert objects and all(next(iter(one.values()))["size"] == CAR["box"][3:6] for one in objects)  # type: ignore[index]

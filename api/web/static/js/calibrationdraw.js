@@ -93,9 +93,7 @@ export function drawOnPlan(plan, context, panel) {
     context.strokeStyle = context.fillStyle = outlier ? token("--bad") : index === panel.selected ? token("--accent") : token("--ink");
     context.lineWidth = 2;
     cross(context, x, y);
-    context.font = "600 13px system-ui, sans-serif";
-    context.textAlign = "left";
-    context.fillText(`${index + 1}${outlier ? " ✕" : ""}`, x + 8, y - 6);
+    plan.write(context, `${index + 1}${outlier ? " ✕" : ""}`, [x + 8, y - 6], { size: 13, align: "left", ink: String(context.fillStyle) });
     if (panel.camera && point.u !== null && point.v !== null) {
       const ground = panel.camera.ground([point.u, point.v], point.z);
       if (ground) { plan.trace(context, [[point.x, point.y], ground]); context.strokeStyle = token("--bad"); context.stroke(); }

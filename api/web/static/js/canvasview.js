@@ -1,6 +1,11 @@
 // What the plan and the frames of cameras share: a canvas that is moved and enlarged by mouse and keys, on which things are drawn
 // in coordinates of their own.
 
+/** A token's colour, as it stands now. @param {string} name */
+export function token(name) {
+  return getComputedStyle(document.documentElement).getPropertyValue(name).trim();
+}
+
 /** A view on a canvas. Who extends it says how its coordinates lie on the canvas, and what is behind what is drawn. */
 export class CanvasView {
   /** How far a pointer moves before a click becomes a drag, canvas px. */
@@ -70,6 +75,27 @@ export class CanvasView {
       else context.moveTo(x, y);
     });
     if (closed) context.closePath();
+  }
+
+  /** Canvas px for each px of the screen: a plan on a phone is shown at a third of its size. */
+  get unit() {
+    return this.canvas.width / (this.canvas.clientWidth || this.canvas.width);
+  }
+
+  /**
+   * Text that is read on any ground, as large on every screen.
+   * @param {CanvasRenderingContext2D} context @param {string} text @param {number[]} at canvas px
+   * @param {{size?: number, align?: CanvasTextAlign, ink?: string, halo?: string}} [how] size in px of the screen
+   */
+  write(context, text, at, { size = 12, align = "center", ink = token("--ink"), halo = token("--sheet") } = {}) {
+    context.font = `600 ${Math.round(size * this.unit)}px system-ui, sans-serif`;
+    context.textAlign = align;
+    context.lineJoin = "round";
+    context.lineWidth = 3 * this.unit;
+    context.strokeStyle = halo;
+    context.strokeText(text, at[0], at[1]);
+    context.fillStyle = ink;
+    context.fillText(text, at[0], at[1]);
   }
 
   /** Canvas px under the mouse. @param {MouseEvent} event @returns {number[]} */

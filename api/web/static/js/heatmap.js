@@ -31,6 +31,6 @@ export function drawHeat(plan, context, conflicts) {
     context.strokeStyle = context.fillStyle = token("--ink");
     context.lineWidth = 1.6;
     context.beginPath(); context.arc(x, y, 4, 0, 2 * Math.PI); context.stroke();
-    context.fillText(String(one.conflict_id), x, y - 8);
+    plan.write(context, String(one.conflict_id), [x, y - 8]);
   }
 }

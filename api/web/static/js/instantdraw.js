@@ -53,10 +53,7 @@ function drawRays(plan, context, scene) {
     context.strokeStyle = vehicle.id === scene.chosen ? token("--bad") : token("--ink");
     context.lineWidth = 2;
     context.beginPath(); context.arc(x, y, 10, 0, 2 * Math.PI); context.stroke();
-    context.fillStyle = token("--ink");
-    context.font = "600 12px system-ui, sans-serif";
-    context.textAlign = "left";
-    context.fillText(`${vehicle.id}`, x + 12, y - 6);
+    plan.write(context, `${vehicle.id}`, [x + 12, y - 6], { align: "left" });
   }
 }
 

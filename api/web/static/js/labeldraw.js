@@ -8,18 +8,13 @@ const HANDLE_PX = 5, KNOB_PX = 26, NEAR_PX = 9, MOST_ALONG = 0.8; // px of the s
 /** The chosen one is white with a dark border, which no class is. */
 const CHOSEN = [["#10161c", 3.4], ["#ffffff", 1.6]];
 
-/** Canvas px for each px of the screen. @param {HTMLCanvasElement} canvas */
-function unit(canvas) {
-  return canvas.width / (canvas.clientWidth || canvas.width);
-}
-
 /** @typedef {import("./labelmodel.js").Vehicle} Vehicle */
 /** @typedef {{kind: "body"|"turn"|"face", id: number, face?: {name: string, size: number, side: number}}} Grip what a pointer has taken hold of */
 
 /** Where one turns a box in the plan: ahead of its front. @param {import("./plan.js").Plan} plan @param {number[]} box @returns {number[]} canvas px */
 function knob(plan, box) {
   const [x, y] = plan.toCanvas(faceCentre(box, FACES[0]));
-  const away = KNOB_PX * unit(plan.canvas);
+  const away = KNOB_PX * plan.unit;
   return [x + away * Math.cos(box[6]), y - away * Math.sin(box[6])];
 }
 
@@ -41,10 +36,7 @@ export function drawVehicles(plan, context, vehicles, chosen, colours) {
     context.lineTo(nose[0], nose[1]);
     context.stroke();
     context.setLineDash([]);
-    context.fillStyle = token("--ink");
-    context.font = `600 ${Math.round(11 * unit(plan.canvas))}px system-ui, sans-serif`;
-    context.textAlign = "center";
-    context.fillText(String(vehicle.id), x, y - 7);
+    plan.write(context, String(vehicle.id), [x, y - 7], { size: 11 });
     if (!marked) continue;
     const [u, v] = knob(plan, vehicle.box);
     context.beginPath();
@@ -52,10 +44,10 @@ export function drawVehicles(plan, context, vehicles, chosen, colours) {
     context.lineTo(u, v);
     context.stroke();
     context.beginPath();
-    context.arc(u, v, HANDLE_PX * unit(plan.canvas), 0, 2 * Math.PI);
+    context.arc(u, v, HANDLE_PX * plan.unit, 0, 2 * Math.PI);
     context.fillStyle = token("--focus");
     context.fill();
-    for (const face of FACES.slice(0, 4)) square(context, plan.toCanvas(faceCentre(vehicle.box, face)), HANDLE_PX * unit(plan.canvas));
+    for (const face of FACES.slice(0, 4)) square(context, plan.toCanvas(faceCentre(vehicle.box, face)), HANDLE_PX * plan.unit);
   }
 }
 
@@ -80,7 +72,7 @@ export function drawCuboids(view, context, camera, vehicles, chosen, colours, la
     context.setLineDash(vehicle.ignored ? [6, 5] : []);
     for (const [colour, width] of marked ? CHOSEN : [[colours.get(vehicle.class) ?? "#888888", 1.2]]) {
       context.strokeStyle = String(colour);
-      context.lineWidth = Number(width) * unit(view.canvas);
+      context.lineWidth = Number(width) * view.unit;
       for (const line of lines) {
         view.trace(context, line);
         context.stroke();
@@ -88,12 +80,9 @@ export function drawCuboids(view, context, camera, vehicles, chosen, colours, la
     }
     context.setLineDash([]);
     const [x, y] = view.toCanvas([(around[0] + around[2]) / 2, around[1]]);
-    context.fillStyle = context.strokeStyle;
-    context.font = `600 ${Math.round(11 * unit(view.canvas))}px system-ui, sans-serif`;
-    context.textAlign = "center";
-    context.fillText(String(vehicle.id), x, y - 6);
+    view.write(context, String(vehicle.id), [x, y - 6], { size: 11, ink: "#ffffff", halo: "rgb(10 14 18 / .8)" });
     if (!marked) continue;
-    for (const { at } of handles(view, camera, box)) square(context, at, HANDLE_PX * unit(view.canvas));
+    for (const { at } of handles(view, camera, box)) square(context, at, HANDLE_PX * view.unit);
   }
 }
 
@@ -130,7 +119,7 @@ function nearest(grips, at, middle, reach) {
 export function gripInPlan(plan, world, vehicles, chosen) {
   if (chosen) {
     const grips = [{ face: /** @type {typeof FACES[number]|null} */ (null), at: knob(plan, chosen.box) }, ...FACES.slice(0, 4).map((face) => ({ face, at: plan.toCanvas(faceCentre(chosen.box, face)) }))];
-    const grip = nearest(grips, plan.toCanvas(world), plan.toCanvas(chosen.box), NEAR_PX * unit(plan.canvas));
+    const grip = nearest(grips, plan.toCanvas(world), plan.toCanvas(chosen.box), NEAR_PX * plan.unit);
     if (grip) return grip.face ? { kind: "face", id: chosen.id, face: grip.face } : { kind: "turn", id: chosen.id };
   }
   const under = vehicles.filter((vehicle) => {
@@ -145,7 +134,7 @@ export function gripInPlan(plan, world, vehicles, chosen) {
 export function gripInView(view, camera, pixel, vehicles, chosen, lateS) {
   const box = chosen ? later(chosen, lateS) : null, middle = box ? camera.project(box.slice(0, 3)) : null;
   if (chosen && box && middle) {
-    const grip = nearest(handles(view, camera, box), view.toCanvas(pixel), view.toCanvas(middle), NEAR_PX * unit(view.canvas));
+    const grip = nearest(handles(view, camera, box), view.toCanvas(pixel), view.toCanvas(middle), NEAR_PX * view.unit);
     if (grip) return { kind: "face", id: chosen.id, face: grip.face };
   }
   const under = vehicles.filter((vehicle) => {

@@ -1,10 +1,7 @@
 // The ground seen from above: a canvas that can be moved and enlarged by mouse and keys. World X is to the right, Y is up.
-import { CanvasView } from "./canvasview.js";
+import { CanvasView, token } from "./canvasview.js";
 
-/** A token's colour, as it stands now. @param {string} name */
-export function token(name) {
-  return getComputedStyle(document.documentElement).getPropertyValue(name).trim();
-}
+export { token };
 
 /** A plan on a canvas. Coordinates are the world's, m. */
 export class Plan extends CanvasView {
@@ -83,9 +80,7 @@ export class Plan extends CanvasView {
     context.beginPath();
     context.moveTo(14, y - 4); context.lineTo(14, y); context.lineTo(14 + length, y); context.lineTo(14 + length, y - 4);
     context.stroke();
-    context.font = "12px system-ui, sans-serif";
-    context.textAlign = "left";
-    context.fillText(`${step} m`, 20, y - 5);
+    this.write(context, `${step} m`, [20, y - 6], { align: "left" });
   }
 
   /** @param {number[]} pixel @param {number} factor */
@@ -175,8 +170,5 @@ export function drawCamera(plan, context, camera, colour) {
   context.closePath();
   context.fill();
   context.restore();
-  context.fillStyle = token("--ink");
-  context.font = "600 13px system-ui, sans-serif";
-  context.textAlign = "center";
-  context.fillText(camera.id, x, y + (forward[1] > 0 ? 22 : -12));
+  plan.write(context, camera.id, [x, y + (forward[1] > 0 ? 10 + 12 * plan.unit : -12)], { size: 13 });
 }

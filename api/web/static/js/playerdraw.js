@@ -83,10 +83,7 @@ function drawFootprint(plan, context, state, colour, chosen) {
   context.stroke();
   if (chosen) {
     const [x, y] = plan.toCanvas([state.x_m, state.y_m]);
-    context.fillStyle = token("--ink");
-    context.font = "600 14px system-ui, sans-serif";
-    context.textAlign = "center";
-    context.fillText(`${state.track_id} · ${state.speed_mps.toFixed(1)} m/s`, x, y - 14);
+    plan.write(context, `${state.track_id} · ${state.speed_mps.toFixed(1)} m/s`, [x, y - 14], { size: 13 });
   }
 }
 

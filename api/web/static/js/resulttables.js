@@ -17,10 +17,12 @@ const NETWORKS = [["baseline_depth", "Baseline (depth)"], ["baseline_plane", "Ba
  */
 export function table(title, columns, rows, { cells = rows, note = "" } = {}) {
   const name = title.toLowerCase().replaceAll(/[^a-z0-9]+/g, "-");
+  const words = columns.map((_, index) => cells.length > 0 && cells.every((row) => typeof row[index] === "string" && /^[a-z]/i.test(row[index])));
+  const as = (/** @type {string} */ tag, /** @type {number} */ index) => (words[index] ? tag : `${tag}.number`);
   return h("div", null,
     h("div.scroll", { tabindex: 0, role: "region", "aria-label": title }, h("table", null, h("caption.unseen", null, title),
-      h("thead", null, h("tr", null, columns.map((column, index) => h(index ? "th.number" : "th", { scope: "col" }, column)))),
-      h("tbody", null, cells.map((row) => h("tr", null, row.map((cell, index) => (index ? h("td.number", null, cell) : h("th", { scope: "row" }, cell)))))))),
+      h("thead", null, h("tr", null, columns.map((column, index) => h(index ? as("th", index) : "th", { scope: "col" }, column)))),
+      h("tbody", null, cells.map((row) => h("tr", null, row.map((cell, index) => (index ? h(as("td", index), null, cell) : h("th", { scope: "row" }, cell)))))))),
     h("div.row.save", null, h("button.small", { type: "button", "aria-label": `${title}: save as CSV`, onclick: () => save(`${name}.csv`, new Blob([toCsv(columns, rows)], { type: "text/csv" })) }, "CSV"),
       note ? h("span.note", null, note) : null));
 }

@@ -24,6 +24,7 @@ document.getElementById("theme")?.addEventListener("click", () => {
   show(theme);
   document.dispatchEvent(new Event("wibam-theme"));
 });
+matchMedia("(prefers-color-scheme: dark)").addEventListener("change", () => document.dispatchEvent(new Event("wibam-theme")));
 document.getElementById("sign-out")?.addEventListener("click", () => attempt(async () => {
   await send("DELETE", "/session");
   location.assign("/sign-in");
