@@ -23,13 +23,14 @@ _ANY = ("GET", "HEAD", "POST", "PUT", "PATCH", "DELETE")
 _RULES: tuple[tuple[tuple[str, ...], str, Scope], ...] = (
     (_ANY, r"/v1/(keys|audit)(/.*)?", Scope.ADMIN),
     (_ANY, r"/v1/uploads(/.*)?", Scope.UPLOAD),
+    (_ANY, r"/v1/webhooks(/.*)?", Scope.RUN),  # their addresses may hold secrets
     (SAFE, r"/v1/.*|/metrics", Scope.READ),
     (_ANY, r"/v1/calibration/.*|/v1/(sites|jobs)/[^/]+/plan", Scope.READ),
     (_ANY, r"/v1/jobs/[^/]+/labels/evaluate", Scope.RUN),
     (_ANY, r"/v1/jobs/[^/]+/(labels|conflicts)/.*", Scope.UPLOAD),
     (_ANY, r"/v1/(sites|cameras)/[^/]+/jobs|/v1/models/[^/]+/runs(/.*)?", Scope.RUN),
     (_ANY, r"/v1/(sites|cameras)(/.*)?", Scope.UPLOAD),
-    (_ANY, r"/v1/(jobs|models|runs|webhooks)(/.*)?", Scope.RUN),
+    (_ANY, r"/v1/(jobs|models|runs)(/.*)?", Scope.RUN),
 )
 _COMPILED = tuple((methods, re.compile(pattern), scope) for methods, pattern, scope in _RULES)
 

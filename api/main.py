@@ -56,8 +56,10 @@ calibration, without hand labels; get 7DoF tracks and the conflicts between road
 2. `POST /v1/uploads` (tus 1.0): send a recording for each camera.
 3. `POST /v1/sites/{id}/jobs`: start. `GET /v1/jobs/{id}/events` tells how it goes.
 4. `GET /v1/jobs/{id}/metrics`, `/model`, `/tracks`, `/conflicts`, `/report`: the results;
-   `/exports/{format}` has them in formats of others.
+   `/exports/{format}` has them in formats of others, `/archive` all files at once.
 5. `GET /v1/models`: the networks that jobs have made. `POST /v1/models/{id}/runs`: new footage to tracks and conflicts.
+
+Lists come in pages: the header `Link` leads to the next one. `POST /v1/webhooks`: be told that a job has ended.
 
 Everything under `/v1`, and `/metrics`, needs `Authorization: Bearer TOKEN`, with the token of the service, which may
 do everything, or a key (`POST /v1/keys`), which may do what its scopes say; each operation names the one that it

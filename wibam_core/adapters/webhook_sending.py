@@ -101,15 +101,18 @@ class WebhookSender:
         self._store = store
         self._allowed = tuple(allowed)
         self._stop = threading.Event()
-        self._thread = threading.Thread(target=self._run, name="webhooks", daemon=True)
+        self._thread: threading.Thread | None = None
 
     def start(self) -> None:
+        """Begin, or begin again after `stop`."""
+        self._stop.clear()
+        self._thread = threading.Thread(target=self._run, name="webhooks", daemon=True)
         self._thread.start()
 
     def stop(self) -> None:
         """Returns once what was being sent has ended, one way or the other."""
         self._stop.set()
-        if self._thread.is_alive():
+        if self._thread is not None:
             self._thread.join(timeout=_TIMEOUT_S + 5.0)
 
     def send_due(self) -> int:
@@ -147,7 +150,7 @@ class WebhookSender:
             error = f"no answer within {_TIMEOUT_S:g} s"
         except Refused as refused:
             error = refused.message
-        except (httpx.HTTPError, OSError) as trouble:
+        except Exception as trouble:  # whatever it was: it is this receiver's, and no other waits for it
             error = (str(trouble) or type(trouble).__name__)[:300]
         if status is not None and not 200 <= status < 300:
             error = f"answered with status {status}"

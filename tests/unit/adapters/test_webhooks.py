@@ -181,6 +181,18 @@ class TestRetries:
         assert only(hooks, deaf.id).attempts[0].status is None
         assert {only(hooks, hook.id).state for hook in (silent, deaf)} == {DeliveryState.PENDING}
 
+    def test_one_that_cannot_be_reached_at_all_holds_no_other_up(
+        self, hooks: WebhookStore, sender: WebhookSender, told: Receiver
+    ) -> None:
+        hopeless, _ = hooks.create(f"http://{'a' * 70}.example/", USUAL_EVENTS)  # no name has so long a part
+        well, _ = hooks.create(told.url, USUAL_EVENTS)
+        for hook in (hopeless, well):
+            hooks.ping(hook.id)
+        assert sender.send_due() == 2
+        assert only(hooks, well.id).state is DeliveryState.DELIVERED
+        assert only(hooks, hopeless.id).attempts[0].error
+        assert only(hooks, hopeless.id).state is DeliveryState.PENDING
+
 
 class TestAddresses:
     @pytest.mark.parametrize(
