@@ -273,7 +273,8 @@ def main() -> None:
         report(cameras, [r for r in judged if r.cameras == cameras], arguments.least)
     if arguments.write:
         document = {
-            "command": f"python benchmarks/conflicts.py --seconds {arguments.seconds:g}",
+            "command": f"python benchmarks/conflicts.py --seconds {arguments.seconds:g} --sites "
+            + " ".join(map(str, arguments.sites)),
             "thresholds_s": {"ttc": THRESHOLD_S, "pet": THRESHOLD_S},
             "least_probability": arguments.least,
             "sites": [asdict(row) for row in rows],

@@ -23,7 +23,6 @@ from wibam_core.jobs.states import JobState, StageState
 _TERMINAL = [state.value for state in JobState if state.is_terminal]
 #: The row of a deleted network of a job stays, so that the job's is not kept again by itself.
 _DELETED = "deleted"
-_ENDED = [state.value for state in JobState if state.is_terminal]
 _WITH_OUTPUTS = [state.value for state in StageState if state.has_outputs]
 
 
@@ -231,7 +230,7 @@ class ModelStore:
                 JobRow.kind == JobKind.TRAINING.value,
                 JobRow.id.in_(tracked),
                 JobRow.id.in_(evaluated),
-                JobRow.id.in_(judged) | JobRow.state.in_(_ENDED),
+                JobRow.id.in_(judged) | JobRow.state.in_(_TERMINAL),
                 TrainedModelRow.id.is_(None),
             )
             .order_by(JobRow.created_at.desc())
