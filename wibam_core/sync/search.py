@@ -27,6 +27,8 @@ _DRIFT_SD = 5e-4
 DECISIVE = 8.0
 #: Offsets that are looked at closely.
 _KEPT = 60
+#: Offsets that are tried, of which some lead nowhere.
+_TRIED = 4 * _KEPT
 #: Shares are never taken for nearer to 0 or 1 than this.
 _DOUBT = 0.02
 #: Events that meet for free, as offset and drift are chosen so.
@@ -122,7 +124,7 @@ def search(pairs: Pairs, first: Sequence[Watched], second: Sequence[Watched]) ->
         at_s = low + (peaks - 2) * width
         could = _could(first, second, at_s - drift * centre_s, np.full(len(peaks), drift))
         score = _evidence(np.minimum(counts[peaks], could), could, chance) - 0.5 * (drift / _DRIFT_SD / 4) ** 2
-        best = np.argsort(-score, kind="stable")[:_KEPT]
+        best = np.argsort(-score, kind="stable")[:_TRIED]
         rough += zip(score[best].tolist(), at_s[best].tolist(), [float(drift)] * len(best), strict=True)
     rough.sort(key=lambda one: (-one[0], abs(one[1]), abs(one[2])))
     return _refined_all(pairs, first, second, rough, centre_s, 4 * tolerance_s, chance)
@@ -165,16 +167,19 @@ def _refined_all(
     apart_s: float,
     chance: float,
 ) -> list[Candidate]:
-    tried: list[float] = []
+    places_s: list[float] = []
     found: list[Candidate] = []
+    tried = 0
     for _, at_s, drift in rough:
-        if any(abs(at_s - other) < apart_s for other in tried):
+        if any(abs(at_s - other) < apart_s for other in places_s):
             continue
-        tried.append(at_s)
+        tried += 1
         candidate = _refined(pairs, first, second, at_s, drift, centre_s, chance)
+        # one that leads nowhere keeps no neighbour out: events that are known exactly are met from near by alone
         if candidate is not None:
             found.append(candidate)
-        if len(tried) == _KEPT:
+            places_s.append(candidate.offset_s + candidate.drift * centre_s)
+        if len(found) == _KEPT or tried == _TRIED:
             break
     found.sort(key=lambda c: (-c.evidence, abs(c.offset_s)))
     distinct: list[Candidate] = []

@@ -8,6 +8,7 @@ from wibam_core.errors import NoSignalChange
 from wibam_core.sync.document import ambiguities, doubts, sync_document
 from wibam_core.sync.matching import ChangeGroup, align, match_changes
 from wibam_core.sync.offsets import estimate_clocks
+from wibam_core.synthetic.signals import SignalProgram
 
 CYCLE = (("green", 17.3), ("amber", 3.0), ("red", 21.9))
 
@@ -292,3 +293,21 @@ def test_a_minute_and_a_half_of_coarse_changes_says_little_of_the_drift():
         clocks = estimate_clocks(changes, "c0").clocks
         found_ppm += [1e6 * clocks[f"c{k}"].drift for k in range(1, 4)]
     assert np.sqrt(np.mean(np.square(found_ppm))) < 60
+
+
+@pytest.mark.parametrize("start_s", [298.26, 299.3, 300.08])
+def test_every_cycle_is_a_candidate_where_a_camera_saw_most_of_them_coarsely(start_s):
+    """A camera that saves a picture a second while little moves times changes to half a second then, and well later."""
+    program = SignalProgram(cycle_s=22.0, offset_s=1.0)
+
+    def seen(camera_id: str, begin_s: float, end_s: float) -> list[SignalChange]:
+        found = []
+        for at_s, phase, before, after in program.changes(begin_s, end_s):
+            shown_s, half_ns = (np.floor(at_s) + 0.5, 500_000_000) if at_s < 300 else (at_s, 62_500_000)
+            time_ns = round((shown_s - begin_s) * 1e9)
+            found.append(SignalChange(camera_id, phase, time_ns, before, after, 0.95, half_ns))
+        return found
+
+    changes = {"a": seen("a", 0.0, 336.0), "b": seen("b", start_s, start_s + 36.0)}
+    _, alignments = match_changes(changes, "a", 600.0, {"a": (0.0, 336.0), "b": (0.0, 36.0)})
+    assert min(abs(offset_s - start_s) for offset_s in alignments["b"].open_s) < 0.05
