@@ -68,18 +68,22 @@ export class Plan extends CanvasView {
       context.moveTo(0, Math.round(v) + 0.5);
       context.lineTo(this.canvas.width, Math.round(v) + 0.5);
     }
+    context.globalAlpha = this.map ? 0.45 : 1; // a picture is to be seen through it
     context.stroke();
+    context.globalAlpha = 1;
     this.step = step;
   }
 
   /** A bar as long as one step of the grid. @param {CanvasRenderingContext2D} context */
   #scale(context) {
     const step = this.step ?? 10, length = step * this.pxPerM, y = this.canvas.height - 14;
-    context.strokeStyle = context.fillStyle = token("--ink");
-    context.lineWidth = 2;
     context.beginPath();
     context.moveTo(14, y - 4); context.lineTo(14, y); context.lineTo(14 + length, y); context.lineTo(14 + length, y - 4);
-    context.stroke();
+    for (const [colour, width] of /** @type {Array<[string, number]>} */ ([[token("--sheet"), 5], [token("--ink"), 2]])) {
+      context.strokeStyle = colour;
+      context.lineWidth = width * this.unit;
+      context.stroke();
+    }
     this.write(context, `${step} m`, [20, y - 6], { align: "left" });
   }
 
