@@ -190,6 +190,12 @@ def test_what_a_region_shows_stays_when_another_is_drawn(signed_in: Visit, recor
         page.mouse.move(box["x"] + left + 30, box["y"] + 110, steps=4)
         page.mouse.up()
         shown.nth(number).wait_for()
+    colours = "[...document.querySelectorAll('#signals .swatch')].map((one) => one.style.background)"
+    one, other = page.evaluate(colours)
+    assert one != other, "two phases"
+    page.get_by_label("Id of region 2").fill("phase-a")
+    page.keyboard.press("Tab")
+    assert page.evaluate(colours) == [one, one], "the same phase"
     page.get_by_role("button", name="Add a region").click()
     assert shown.count() == 2
     page.get_by_role("button", name="Remove region 1").click()

@@ -6,6 +6,13 @@ import { clock } from "./format.js";
 const LENGTH_S = 60;
 const COLOURS = /** @type {Object<string, string>} */ ({ red: "#c62828", amber: "#ef9a00", green: "#1b8a3c", red_amber: "#e65100", off: "#555c64" });
 
+const PHASES = ["#7dffa8", "#ffd166", "#7cc7ff", "#ff9ecf", "#c3b1ff", "#ffb38a", "#9ef0f0", "#e2f58a"];
+
+/** A colour for the name of a phase, the same in every camera. @param {string} id */
+export function phaseColour(id) {
+  return PHASES[[...id].reduce((sum, letter) => (sum * 31 + /** @type {number} */ (letter.codePointAt(0))) % 9973, 7) % PHASES.length];
+}
+
 /** The regions of one camera while they are edited. */
 export class SignalPanel {
   /** @param {any[]} signals of the site's document @param {import("./footage.js").Footage|null} recording @param {() => void} changed @param {() => number} now the time shown, s */
@@ -58,14 +65,16 @@ export class SignalPanel {
 
   /** @param {any} signal @param {number} index */
   row(signal, index) {
+    const swatch = h("span.swatch", { "aria-hidden": "true" });
+    swatch.style.background = phaseColour(signal.id);
     const id = h("input", { value: signal.id, maxlength: 64, "aria-label": `Id of region ${index + 1}` }), box = h("input", { value: signal.region.join(", "), "aria-label": `x, y, width and height of region ${index + 1}` });
-    id.addEventListener("change", () => { signal.id = /** @type {HTMLInputElement} */ (id).value.trim(); this.changed(); });
+    id.addEventListener("change", () => { signal.id = /** @type {HTMLInputElement} */ (id).value.trim(); swatch.style.background = phaseColour(signal.id); this.changed(); });
     box.addEventListener("change", () => {
       const numbers = /** @type {HTMLInputElement} */ (box).value.split(/[\s,;]+/).filter(Boolean).map(Number);
       if (numbers.length === 4 && numbers.every(Number.isFinite)) { signal.region = numbers; this.changed(); this.look(index); }
     });
     return h(`div.region${index === this.selected ? ".selected" : ""}`, { onclick: () => { if (this.selected !== index) { this.selected = index; this.changed(); } } },
-      h("div.row", null, h("label", null, "Phase ", id), h("label", null, "x, y, width, height ", box),
+      h("div.row", null, swatch, h("label", null, "Phase ", id), h("label", null, "x, y, width, height ", box),
         h("button.small", { type: "button", disabled: !this.recording, onclick: () => this.look(index) }, "What does it show?"),
         h("button.small.quiet", { type: "button", "aria-label": `Remove region ${index + 1}`, onclick: () => { this.signals.splice(index, 1); this.selected = -1; this.show(); this.changed(); } }, "×")),
       this.strip(signal));

@@ -8,7 +8,7 @@ import { Footage } from "../footage.js";
 import { FrameView } from "../frameview.js";
 import { MapPicture } from "../mappicture.js";
 import { groundInView, Plan } from "../plan.js";
-import { SignalPanel } from "../signalpanel.js";
+import { phaseColour, SignalPanel } from "../signalpanel.js";
 
 const siteId = document.body.dataset.site ?? "", cameraId = document.body.dataset.camera ?? "";
 let record = /** @type {any} */ (null), dirty = false, asked = 0, fitted = false;
@@ -23,7 +23,7 @@ const view = new FrameView(byId("frame"), 1920, 1080, (frame, context) => {
   if (!panel) return;
   if (panel.camera) drawGround(frame, context, panel.camera);
   drawPoints(frame, context, panel);
-  signals?.signals.forEach((signal, index) => outline(context, signal.region, index === signals?.selected ? "#ffffff" : "#7dffa8", signal.id));
+  signals?.signals.forEach((signal, index) => outline(context, signal.region, index === signals?.selected ? "#ffffff" : phaseColour(signal.id), signal.id));
   const drawn = signals?.drawn;
   if (drawn) outline(context, [Math.min(drawn[0], drawn[2]), Math.min(drawn[1], drawn[3]), Math.abs(drawn[2] - drawn[0]), Math.abs(drawn[3] - drawn[1])], "#ffffff", "");
   drawMeasure(context);
