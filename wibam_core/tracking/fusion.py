@@ -27,6 +27,10 @@ SD_FLOOR = np.array([0.15, 0.15, 0.08, 0.2, 0.08, 0.08, 0.05])
 #: (7,) in the order of boxes, m and rad: standard deviations of a detection that states none.
 SD_UNKNOWN = np.array([0.6, 0.6, 0.2, 0.5, 0.2, 0.2, 0.25])
 
+#: Two are near each other within the radius; within so many times that, if they are by no more than so many of their
+#: standard deviations apart: a far camera knows a place to a metre or two.
+_UNCERTAIN_REACH, _NEAR_SDS = 1.5, 2.0
+
 
 @dataclass(frozen=True, eq=False)
 class Detected:
@@ -92,8 +96,8 @@ def fuse(detected: Detected, radius_m: float) -> Fused:
     """Cluster detections on the ground, at most one per camera in each cluster, and average each cluster.
 
     Somebody on foot or on two wheels is never one with a vehicle. Pairs are joined nearest first while every two of a
-    cluster stay within reach (complete linkage). Numbers are weighted by score over variance: a near camera knows the
-    place better than a far one.
+    cluster stay within reach (complete linkage), which is longer where they do not know their places well. Numbers are
+    weighted by score over variance: a near camera knows the place better than a far one.
 
     Args:
         detected: by all cameras, all moved to the same instant.
@@ -127,8 +131,9 @@ def _cluster(detected: Detected, radius_m: float) -> list[list[int]]:
     boxes, cameras, reach = detected.boxes, detected.cameras, REACH[detected.classes]
     distance = ground_distance(boxes, boxes)
     distance = np.minimum(distance, distance.T)
-    allowed = (cameras[:, None] != cameras) & may_be_one(detected.classes, detected.classes)
-    allowed &= distance <= radius_m * np.maximum(reach[:, None], reach)
+    within_m = radius_m * np.maximum(reach[:, None], reach)
+    near = (distance <= within_m) | ((distance <= _UNCERTAIN_REACH * within_m) & (_apart_sd(detected) <= _NEAR_SDS))
+    allowed = near & (cameras[:, None] != cameras) & may_be_one(detected.classes, detected.classes)
     i, j = np.nonzero(np.triu(allowed, 1))
     order = np.argsort(distance[i, j], kind="stable")
     members: list[list[int]] = [[k] for k in range(len(boxes))]
@@ -141,6 +146,13 @@ def _cluster(detected: Detected, radius_m: float) -> list[list[int]]:
         for k in second:
             members[k] = first
     return [sorted(rows) for k, rows in enumerate(members) if min(rows) == k]
+
+
+def _apart_sd(detected: Detected) -> Array:
+    """(N, N) how far centres are apart, in standard deviations of both."""
+    places = detected.boxes[:, XY]
+    variance = np.where(np.isfinite(detected.sd), detected.sd, SD_UNKNOWN)[:, XY] ** 2
+    return np.sqrt(((places[:, None] - places) ** 2 / (variance[:, None] + variance)).sum(axis=-1))
 
 
 def _merged(members: Detected, views: Indices) -> Fused:

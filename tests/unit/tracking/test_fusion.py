@@ -55,6 +55,14 @@ def test_neighbours_in_the_next_lane_stay_apart() -> None:
     assert fused.views.tolist() == [2, 2]
 
 
+def test_who_does_not_know_a_place_well_may_be_further_off() -> None:
+    """3 m are more than the radius, but no more than 2 of a far camera's standard deviations of 1.6 m."""
+    near = seen((0, 0, 0), sd=0.2)
+    assert fuse([near, seen((3.0, 0, 0), sd=1.6)], 2.5).views.tolist() == [2]
+    assert fuse([near, seen((3.0, 0, 0), sd=1.0)], 2.5).views.tolist() == [1, 1]
+    assert fuse([near, seen((4.0, 0, 0), sd=5.0)], 2.5).views.tolist() == [1, 1], "beyond 1.5 radii it is another one"
+
+
 def test_chains_do_not_swallow_a_row_of_vehicles() -> None:
     fused = fuse([seen((0, 0, 0)), seen((2, 0, 0)), seen((4, 0, 0))], 2.5)
     assert len(fused) == 2
