@@ -30,7 +30,7 @@ from wibam_core.geometry.ground import intersect_plane
 from wibam_core.geometry.outlines import outlines
 from wibam_core.geometry.pixels import scale_of
 from wibam_core.progress import Progress, silent
-from wibam_core.road_users import BODIES, RoadUserClass
+from wibam_core.road_users import BODIES, VULNERABLE, RoadUserClass
 from wibam_core.rounds.seen import SAME_IOU
 from wibam_core.rounds.world import Detected, World
 from wibam_core.scene import Boxes2D, FloatArray, FrameKey
@@ -58,9 +58,12 @@ def beside_what_moves(world: World, detected: Detected, progress: Progress = sil
     found: dict[FrameKey, Boxes2D] = {}
     with ThreadPoolExecutor(max_workers=len(os.sched_getaffinity(0))) as pool:
         for (camera_id, block), group in groupby(frames, key=partial(_block, world)):
+            of_block = list(group)
+            if not world.shown[camera_id].of_block(block):  # no frame shows the background then
+                found |= {frame: detected[frame] for frame in of_block}
+                continue
             background, stillness = _background(world, camera_id, block, detected)
             add = partial(_with_silhouettes, world, refiner, background, stillness)
-            of_block = list(group)
             found |= zip(of_block, pool.map(add, of_block, map(detected.__getitem__, of_block)), strict=True)
             progress(len(found) / len(frames), f"looking for what moves: {len(found)} of {len(frames)} frames")
     return seen_once(found, world.rig) if world.rig.views else found
@@ -99,7 +102,7 @@ def _with_silhouettes(
     image: Image = store.image_at(*frame)
     boxes = store.to_native_px(frame.camera_id, stillness.silhouettes(image))
     boxes = boxes[np.flatnonzero(_as_large_as_vehicles(camera, boxes))]
-    same = _same(boxes, known.boxes)
+    same = _same(boxes, known.boxes) & ~VULNERABLE[known.classes]  # nobody on foot is as large as a vehicle
     new = np.flatnonzero(~same.any(axis=1))
     pairs = same & (same.sum(axis=1, keepdims=True) == 1) & (same.sum(axis=0) == 1)
     instead, replaced = np.nonzero(pairs)

@@ -12,6 +12,7 @@ from wibam_core.detection.instants import frames_of
 from wibam_core.detection.second_look import backgrounds_shown
 from wibam_core.formats.framestore import FrameStore, FrameStoreWriter
 from wibam_core.geometry.boxes2d import image_iou
+from wibam_core.road_users import RoadUserClass
 from wibam_core.rounds.moving import beside_what_moves
 from wibam_core.rounds.world import Options, World
 from wibam_core.scene import Boxes2D, CameraRig, FrameKey
@@ -96,6 +97,18 @@ def test_a_silhouette_takes_the_place_of_the_one_box_in_it(tmp_path: Path) -> No
     assert all(len(found[frame].boxes) == 1 and found[frame].scores[0] == 0.7 for frame in there)
     overlaps = [image_iou(found[frame].boxes, boxes[frame]).max() for frame in there]
     assert np.mean(np.array(overlaps) > 0.6) > 0.9
+
+
+def test_nobody_on_foot_becomes_a_vehicle(tmp_path: Path) -> None:
+    world, boxes = recorded(tmp_path, (4.4, 1.8, 1.5))
+    foot, known = RoadUserClass.PEDESTRIAN.number, {}
+    for frame, box in boxes.items():
+        left_fifth = box * [1.0, 1.0, 0.2, 1.0] + np.roll(box, 2, axis=1) * [0.0, 0.0, 0.8, 0.0]
+        unknown = np.full_like(box, np.nan)
+        known[frame] = Boxes2D(left_fifth, np.full(len(box), 0.7), np.full(len(box), foot), unknown, unknown)
+    found = beside_what_moves(world, known)
+    for frame, of in known.items():
+        np.testing.assert_array_equal(found[frame].boxes[found[frame].classes == foot], of.boxes)
 
 
 def test_the_boxes_of_several_vehicles_in_a_row_stay(tmp_path: Path) -> None:
