@@ -57,18 +57,22 @@ def read_json(text: str) -> Any:
     try:
         return json.loads(text, object_pairs_hook=_only_once)
     except json.JSONDecodeError as error:
-        line = text.splitlines()[error.lineno - 1].strip() if text.strip() else ""
+        line = text.split("\n")[error.lineno - 1].strip()
         raise NotJson(f"line {error.lineno}, column {error.colno}: {_why(text, error)}: {line[:60]}") from error
     except RecursionError as error:
         raise NotJson("it is nested too deeply") from error
+    except ValueError as error:
+        if isinstance(error, NotJson):
+            raise
+        raise NotJson(f"it has a number that is too long: {error}") from error  # of more digits than Python reads
 
 
 def _only_once(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
-    found = dict(pairs)
-    if len(found) < len(pairs):
-        names = [name for name, _ in pairs]
-        twice = next(name for name in names if names.count(name) > 1)
-        raise NotJson(f"an object has {twice!r} twice; leave out the one that is not meant")
+    found: dict[str, Any] = {}
+    for name, value in pairs:
+        if name in found:
+            raise NotJson(f"an object has {name[:60]!r} twice; leave out the one that is not meant")
+        found[name] = value
     return found
 
 

@@ -76,11 +76,19 @@ def test_what_is_no_text_is_said_to_be_none(content: bytes) -> None:
         ("{'a': 1}", "double quotes"),
         ("", "Expecting value"),
         ("[" * 100_000, "nested too deeply"),
+        ('{"a": [1,\n', "line 2, column 1: Expecting value"),
+        ('{"a": 1' + "0" * 5000 + "}", "a number that is too long"),
     ],
 )
 def test_what_is_wrong_with_json_is_said_with_its_place(text: str, words: str) -> None:
     with pytest.raises(NotJson, match=re.escape(words)):
         read_json(text)
+
+
+def test_a_name_that_is_there_twice_is_found_in_one_pass() -> None:
+    names = ", ".join(f'"{number}": 0' for number in range(200_000))
+    with pytest.raises(NotJson, match="'199999' twice"):
+        read_json("{" + names + ', "199999": 1}')  # in hours, if each were compared with each
 
 
 def test_a_site_that_says_one_thing_twice_is_refused() -> None:

@@ -143,7 +143,7 @@ def _smoothed(first_id: int, vehicles: Sequence[Sequence[Hit]], instants: Indice
     boxes, sd = np.empty((len(of_state), 7)), np.empty((len(of_state), 7))
     boxes[:, XY], boxes[:, YAW] = place[:, :STATE_YAW], normalise_angle(place[:, STATE_YAW])
     boxes[:, SIZE], boxes[:, Z] = size[of_state], size[of_state, 2] / 2
-    sd[:, POSE] = np.sqrt(np.where(drives[:, None], _LEFT / factors, _LEFT / _LASTING) * np.maximum(variances, 0.0))
+    sd[:, POSE] = np.sqrt(_LEFT / factors * np.maximum(variances, 0.0))
     sd[:, SIZE], sd[:, Z] = size_sd[of_state], size_sd[of_state, 2] / 2
     sd = np.maximum(sd, SD_FLOOR / 3)
     velocities, yaw_rates = every.velocity(beliefs.mean)

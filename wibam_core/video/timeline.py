@@ -121,20 +121,22 @@ def read_timeline(recording: Recording, *, look: bool = False) -> Timeline:
 
 
 def _check_different(recording: Recording) -> None:
-    """Raises:
-    UnreadableVideo: two files are copies of one.
+    """Files that are said to begin at different times may be alike: a dark camera gives the same bytes every minute.
+
+    Raises:
+        UnreadableVideo: two files are copies of one.
     """
-    by_size: dict[int, list[RecordingFile]] = {}
+    by_size: dict[tuple[int, int | None], list[RecordingFile]] = {}
     for file in recording.files:
         if file.path.is_file():
-            by_size.setdefault(file.path.stat().st_size, []).append(file)
-    seen: dict[str, str] = {}
+            by_size.setdefault((file.path.stat().st_size, file.started_ns), []).append(file)
+    seen: dict[tuple[str, int | None], str] = {}
     for file in (file for alike in by_size.values() if len(alike) > 1 for file in alike):
         with file.path.open("rb") as opened:
-            digest = hashlib.file_digest(opened, "sha256").hexdigest()
-        if digest in seen:
-            raise UnreadableVideo(f"{file.name} is a copy of {seen[digest]}", hint="Leave one of the two out.")
-        seen[digest] = file.name
+            content = (hashlib.file_digest(opened, "sha256").hexdigest(), file.started_ns)
+        if content in seen:
+            raise UnreadableVideo(f"{file.name} is a copy of {seen[content]}", hint="Leave one of the two out.")
+        seen[content] = file.name
 
 
 def _started_ns(packets: FilePackets) -> int:

@@ -68,6 +68,22 @@ def follow(
     return tracker.tracks()
 
 
+def test_the_stated_standard_deviations_of_walkers_hold_errors_that_last() -> None:
+    """All cameras together err by 0.3 m for about a second, beside what each errs by itself."""
+    rng, scaled = np.random.default_rng(4), []
+    for seed in range(6):
+        wrong = rng.normal(size=(12, 2)) * 0.3
+
+        def seen(t: float, wrong: np.ndarray = wrong) -> tuple[float, float, float]:
+            off = [np.interp(t, np.arange(12), wrong[:, axis]) for axis in (0, 1)]
+            return 1.4 * t + off[0], off[1], 0.0
+
+        (track,) = follow([(PEDESTRIAN, seen)], 10.0, seed=seed)
+        truth = np.stack([1.4 * track.times_ns * 1e-9, 0.0 * track.times_ns], axis=1)
+        scaled.append((track.boxes[:, :2] - truth) / track.sd[:, :2])
+    assert 0.5 < np.sqrt(np.square(np.concatenate(scaled)).mean()) < 1.0
+
+
 def test_somebody_who_turns_round_on_the_spot_keeps_their_track_and_looks_ahead() -> None:
     path = there_and_back(8.0)
     (track,) = follow([(PEDESTRIAN, path)], 8.0)
