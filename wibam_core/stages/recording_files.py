@@ -34,8 +34,8 @@ def find_recording(folder: Path, camera: SiteCamera) -> Recording | None:
         inside = sorted(path for path in own.iterdir() if path.is_file() and not _is_beside(path))
         if inside and single:
             raise _ambiguous(camera, [*single, *inside])
-        if inside or single:
-            return Recording.at(*inside, *single)
+        if inside:
+            return Recording.at(*inside)
     if len(single) > 1:
         raise _ambiguous(camera, single)
     if not single:

@@ -56,6 +56,14 @@ def test_a_file_and_a_folder_of_one_camera_are_refused(tmp_path: Path) -> None:
     assert "recordings/cam2/" in refused.value.hint
 
 
+@pytest.mark.parametrize("beside", ["cam2/.DS_Store", "cam2/GX010001.THM"])
+def test_a_folder_without_recordings_joins_no_files_beside_it(tmp_path: Path, beside: str) -> None:
+    with pytest.raises(SiteFileError, match=r"several recordings: cam2\.mkv, cam2\.mp4"):
+        folder_with(tmp_path, "cam1.mp4", "cam2.mp4", "cam2.mkv", beside)
+    (tmp_path / "recordings" / "cam2.mkv").unlink()
+    assert names_of(SiteFolder.load(tmp_path), "cam2") == ["cam2.mp4"]
+
+
 def test_what_a_camera_writes_beside_its_only_recording_is_passed_over(tmp_path: Path) -> None:
     folder = folder_with(tmp_path, "cam1.MP4", "cam1.SRT", "cam1.LRV", "cam1.v2.jpg", "cam2.north side.v2.mkv")
     assert (names_of(folder, "cam1"), names_of(folder, "cam2")) == (["cam1.MP4"], ["cam2.north side.v2.mkv"])
