@@ -74,7 +74,9 @@ def _edits(data: bytes, start: int, end: int) -> int:
 
 
 def _stretches(data: bytes, start: int, end: int) -> int:
-    """Entries of an edit list that show something of the media."""
+    """Entries of an edit list that show something of the media; 0 of one that is too short to have any."""
+    if end - start < 8:
+        return 0
     version, count = data[start], struct.unpack(">I", data[start + 4 : start + 8])[0]
     form = struct.Struct(">QqI" if version == 1 else ">IiI")
     entries = min(count, _MAX_EDITS, (end - start - 8) // form.size)

@@ -1,5 +1,6 @@
 """Clocks as recordings bring them: stray stamps, restarts, decode times, edit lists, cuts between key frames."""
 
+import struct
 from pathlib import Path
 
 import numpy as np
@@ -9,6 +10,7 @@ from tests.foreign_recordings import FPS, copy, edit_mp4, number_of, restamp_ts,
 from wibam_core.documents.recordings import VideoInfo
 from wibam_core.video.cautions import cautions_of
 from wibam_core.video.decode import decode
+from wibam_core.video.edits import shown_stretches
 from wibam_core.video.probe import measure
 from wibam_core.video.recording import Recording
 
@@ -137,6 +139,23 @@ def test_what_an_edit_list_hides_is_counted_and_a_skip_is_said(tmp_path: Path, s
     assert numbers == shown
     assert info.hidden_frames == 72 - len(shown)
     assert codes(info) == said
+
+
+def box(kind: bytes, *inside: bytes) -> bytes:
+    return struct.pack(">I4s", 8 + sum(map(len, inside)), kind) + b"".join(inside)
+
+
+@pytest.mark.parametrize("head", [b"", b"\0\0\0\0", b"\0\0\0\0\0\0"])
+def test_an_edit_list_that_is_cut_off_shows_nothing(tmp_path: Path, head: bytes) -> None:
+    """The other track has two entries, and counts whatever the first is; a box may follow or not."""
+    video = box(b"mdia", box(b"hdlr", bytes(8), b"vide"))
+    entries = struct.pack(">IiI", 1, 0, 1 << 16) + struct.pack(">IiI", 1, 5, 1 << 16)
+    whole = box(b"trak", video, box(b"edts", box(b"elst", struct.pack(">II", 0, 2), entries)))
+    cut = box(b"trak", video, box(b"edts", box(b"elst", head)))
+    path = tmp_path / "a.mp4"
+    for tracks, stretches in ((cut, 1), (whole + cut, 2), (cut + whole, 2)):
+        path.write_bytes(box(b"moov", tracks))
+        assert shown_stretches(path) == stretches
 
 
 def test_a_recording_that_begins_between_key_frames_is_normal(tmp_path: Path) -> None:
