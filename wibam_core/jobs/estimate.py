@@ -13,6 +13,8 @@ from wibam_core.jobs.states import StageState
 
 #: Frames a second of a recording whose frames nobody has counted.
 _USUAL_FPS = 25
+#: What says whether the 2D detector and the 3D network are the user's own.
+_NETWORK_OPTIONS = (("detect", "detector"), ("finetune", "network"))
 
 
 def pace_of(job: Job, machine: Machine) -> Pace:
@@ -107,11 +109,18 @@ def time_limit(job: Job, stage: str, machine: Machine, most_s: float, times: flo
         least_s: but every stage may take so long.
     """
     pace = pace_of(job, machine)
-    if stage not in pace.expected_s:
+    if stage not in pace.expected_s or stage in _of_unknown_networks(job):
         return TimeLimit(most_s)
     expected = pace.expected_s[stage] * max(pace.ratio, 1.0)
     by_estimate = max(times * expected, least_s)
     return TimeLimit(most_s) if by_estimate >= most_s else TimeLimit(by_estimate, expected)
+
+
+def _of_unknown_networks(job: Job) -> frozenset[str]:
+    """Stages that run a network of the user's own, which may be as slow as it likes: estimates are of ours."""
+    detector, network = (job.options.get(stage, {}).get(name) for stage, name in _NETWORK_OPTIONS)
+    of_detector = {"detect"} if detector == "custom" else set()
+    return frozenset(of_detector | ({"finetune", "predict", "evaluate"} if network == "custom" else set()))
 
 
 def check_cost(job: Job, machine: Machine, allowed_s: float) -> None:

@@ -133,6 +133,14 @@ class TestEstimates:
         for times, named in ((1e9, "sync"), (1.0, "track")):  # of a stage of which nothing is known, too
             limit = time_limit(known, named, machine, most_s=50.0, times=times, least_s=1.0)
             assert (limit.seconds, limit.expected_s) == (50.0, None)
+        own = dataclasses.replace(
+            job(
+                stage("preflight", StageState.SUCCEEDED, finished_at=1.0, **ended), stage("detect", StageState.RUNNING)
+            ),
+            options={"detect": {"detector": "custom"}},
+        )
+        limit = time_limit(own, "detect", machine, most_s=1e9, times=1.0, least_s=1.0)
+        assert limit.expected_s is None, "nobody knows how slow a detector of the user's own is"
 
 
 class TestRecords:
