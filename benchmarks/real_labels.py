@@ -1,7 +1,8 @@
 """Hand labels of a real site, and what of a result they can judge.
 
 Labels stand for single instants and for an area in which every vehicle was labelled. What lies outside of it, close to
-its border or on what was left out on purpose (a towed trailer) counts neither way. They evaluate, and choose nothing.
+its border or on what was left out on purpose (a towed trailer) counts neither way. They evaluate, and choose nothing
+within a run; what was chosen with them in sight is in ``looks.json``.
 """
 
 from __future__ import annotations

@@ -3,7 +3,8 @@
 For each detector and seed the pipeline runs in a folder that is kept, so that what was made before costs nothing, and a
 row is written: what each round found, and how well the fits that teach, the tracks of all cameras, and the fine-tuned
 network in single images agree with the labels, in all and by the part of the split in time that the labelled instant
-lies in, with counts and intervals. Labels evaluate, and choose nothing.
+lies in, with counts and intervals. Labels evaluate, and choose nothing within a run; what was chosen with them in sight
+is in ``looks.json``.
 Writes ``real-sites.json``, ``real-sites.md`` and ``real-sites.png``; nothing of the footage enters them.
 
 Run: python -m benchmarks.real_sites SITE --labels LABELS.json --area AREA.json --runs build/real --detector bundled
