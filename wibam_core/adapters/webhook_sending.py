@@ -32,7 +32,10 @@ _MOST_URL = 2000
 #: For all of one attempt, however slowly the other side trickles.
 _TIMEOUT_S = 15.0
 _LEASE_S = 60.0
-_NAT64 = ipaddress.IPv6Network("64:ff9b::/96")
+#: Their last 32 bits are an IPv4 address: NAT64 (RFC 6052), and "IPv4-compatible" ones (RFC 4291, 2.5.5.1).
+_EMBEDDING = (ipaddress.IPv6Network("64:ff9b::/96"), ipaddress.IPv6Network("::/96"))
+#: Of use inside a network alone, whatever `ipaddress` says: site-local ones (RFC 3879), its own NAT64 (RFC 8215).
+_INSIDE = (ipaddress.IPv6Network("fec0::/10"), ipaddress.IPv6Network("64:ff9b:1::/48"))
 _log = logging.getLogger(__name__)
 
 
@@ -76,13 +79,13 @@ def _check(address: Address, allowed: Sequence[Network]) -> None:
     if isinstance(address, ipaddress.IPv6Address):
         if address.ipv4_mapped is not None:
             inner = address.ipv4_mapped
-        elif address in _NAT64:
+        elif not (address.is_loopback or address.is_unspecified) and any(address in network for network in _EMBEDDING):
             inner = ipaddress.IPv4Address(int(address) & 0xFFFFFFFF)
         elif address.sixtofour is not None or address.teredo is not None:
             raise Refused(f"{address} leads through a tunnel", hint="Give a name or address that does not.")
     if any(inner in network for network in allowed if network.version == inner.version):
         return
-    if not inner.is_global or inner.is_multicast:
+    if not inner.is_global or inner.is_multicast or any(inner in network for network in _INSIDE):
         raise Refused(
             f"{address} is not a public address",
             hint="The service's operator can allow networks of their own: WIBAM_WEBHOOK_NETWORKS.",

@@ -198,19 +198,23 @@ class TestAddresses:
     @pytest.mark.parametrize(
         "host",
         ["127.0.0.1", "10.1.2.3", "169.254.169.254", "192.168.0.1", "0.0.0.0", "100.64.0.1", "224.0.0.1",
-         "[::1]", "[fe80::1]", "[fd00::1]", "[::ffff:127.0.0.1]", "[64:ff9b::a00:1]", "[2002:7f00:1::]", "[ff02::1]"],
+         "[::1]", "[fe80::1]", "[fd00::1]", "[::ffff:127.0.0.1]", "[64:ff9b::a00:1]", "[2002:7f00:1::]", "[ff02::1]",
+         "[fec0::1]", "[feff::1]", "[64:ff9b:1::808:808]", "[::]", "[::2]", "[::10.1.2.3]", "[::169.254.169.254]"],
     )  # fmt: skip
     def test_of_the_operators_own_are_refused(self, host: str) -> None:
         with pytest.raises(Refused):
             check_url(f"http://{host}/x", [])
 
-    @pytest.mark.parametrize("host", ["1.1.1.1", "[2606:4700:4700::1111]", "example.org", "localhost"])
+    @pytest.mark.parametrize("host", ["1.1.1.1", "[2606:4700:4700::1111]", "[::1.1.1.1]", "example.org", "localhost"])
     def test_public_ones_and_names_are_kept(self, host: str) -> None:
         assert check_url(f"https://{host}:8443/x?y=z", []) == f"https://{host}:8443/x?y=z"
 
     def test_in_a_network_that_the_operator_allows_too(self) -> None:
         assert check_url("http://10.1.2.3/", [ipaddress.ip_network("10.1.0.0/16")])
         assert check_url("http://[::ffff:10.1.2.3]/", [ipaddress.ip_network("10.1.0.0/16")])
+        assert check_url("http://[::10.1.2.3]/", [ipaddress.ip_network("10.1.0.0/16")])
+        assert check_url("http://[::1]/", [ipaddress.ip_network("::1/128")])
+        assert check_url("http://[fec0::1]/", [ipaddress.ip_network("fec0::/10")])
         with pytest.raises(Refused):
             check_url("http://10.2.2.3/", [ipaddress.ip_network("10.1.0.0/16")])
 
