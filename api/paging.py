@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import base64
 import json
-import math
 from collections.abc import Callable, Sequence
 from typing import Annotated, Any, Final, TypeVar
 
@@ -13,6 +12,7 @@ from fastapi import Depends, Query, Request, Response
 from api.addresses import address
 from api.times import parse_time
 from wibam_core.adapters.paging import Place, Span
+from wibam_core.adapters.records import plain_text
 from wibam_core.errors import InputError
 
 T = TypeVar("T")
@@ -21,6 +21,8 @@ Key = tuple[float | int | str, ...]
 LINK: Final = "Link"
 _TIME = "2026-07-01T08:00:00+02:00"
 _MOST_CURSOR = 600
+#: No number of a key is as large, and no infinity or NaN is smaller.
+_BEYOND = 2**63
 
 
 class Page:
@@ -108,10 +110,10 @@ class Page:
 
 def _is_a(value: Any, kind: type) -> bool:
     if kind is float:
-        return isinstance(value, int | float) and not isinstance(value, bool) and math.isfinite(value)
+        return isinstance(value, int | float) and not isinstance(value, bool) and abs(value) < _BEYOND
     if kind is int:
-        return isinstance(value, int) and not isinstance(value, bool) and abs(value) < 2**63
-    return isinstance(value, str) and "\0" not in value
+        return isinstance(value, int) and not isinstance(value, bool) and abs(value) < _BEYOND
+    return isinstance(value, str) and plain_text(value) == value
 
 
 #: ISO 8601 with its offset from UTC.

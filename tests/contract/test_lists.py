@@ -88,7 +88,11 @@ class TestPages:
         "path", ["/v1/sites", "/v1/jobs", "/v1/models", "/v1/keys", "/v1/audit", "/v1/sites/{site}/recordings"]
     )
     def test_every_list_refuses_what_is_no_cursor(self, api: LiveApi, site: str, path: str) -> None:
-        forged = (["x"], [1.5], [1, 2, 3, 4, 5], {"a": 1}, "x", None, [True, "x"], [1.0, 2.0], [float("inf"), "x"])
+        forged = (
+            ["x"], [1.5], [1, 2, 3, 4, 5], {"a": 1}, "x", None, [True, "x"], [1.0, 2.0], [float("inf"), "x"],
+            [float("nan"), "x"], [10**400, "x"], [-(10**400), "x"], [10**400], [1.0, "\ud800"], ["\ud800"] * 4,
+            [1.0, "\0"],
+        )  # fmt: skip
         cursors = [base64.urlsafe_b64encode(json.dumps(key).encode()).decode() for key in forged]
         for cursor in ("%%%", "é", "x" * 601, "W" * 600, *cursors):
             refused = api.http.get(path.format(site=site), params={"cursor": cursor})
