@@ -11,6 +11,7 @@ from pydantic import BaseModel, ConfigDict, Field, model_validator
 from api.problems import documented
 from api.schemas import MapOut
 from api.services import Services, ServicesDep
+from wibam_core.adapters.site_maps import Given
 from wibam_core.errors import NotFound
 
 router = APIRouter(prefix="/v1/sites/{site_id}/map", tags=["sites"], responses=documented(401, 404))
@@ -53,24 +54,25 @@ _PICTURE: dict[int | str, dict[str, Any]] = {200: {"content": {"image/jpeg": {}}
 @router.put("", summary="Give a site a map, or place it", responses=documented(413, 422, 503))
 def put(site_id: str, body: MapIn, services: ServicesDep) -> MapOut:
     """A file replaces the picture that was there: PNG, JPEG, WebP or TIFF, which a process of its own decodes. A
-    GeoTIFF says by itself where it lies. The coordinates of a world file are the world's."""
+    GeoTIFF says by itself where it lies, unless a world file or two points come with it. The coordinates of a world
+    file are the world's."""
     from wibam_core.formats.map_pictures import two_points, world_file
 
     services.sites.site(site_id)
-    of_sent = world_file(body.world_file) if body.world_file is not None else None
-    affine = None
+    given = None
+    if body.world_file is not None:
+        given = Given(world_file(body.world_file), "world file")
     if body.points is not None:
         affine = two_points(*(np.array([getattr(one, of) for one in body.points]) for of in ("pixel", "world")))
+        given = Given(affine, "points")
     kept = None
     if body.file is not None:
         named = next((file for file in services.sites.all_files(site_id) if file.id == body.file), None)
         if named is None:
             raise NotFound(f"site {site_id} has no file {body.file}", hint="Upload it with the purpose 'map'.")
-        kept = services.maps.take(named)
-    if of_sent is not None:
-        kept = services.maps.place(site_id, of_sent, "world file")
-    if affine is not None:
-        kept = services.maps.place(site_id, affine, "points")
+        kept = services.maps.take(named, given)
+    elif given is not None:
+        kept = services.maps.place(site_id, given)
     assert kept is not None, "the body says something"
     return MapOut(map=kept.map, version=kept.version)
 

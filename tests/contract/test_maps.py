@@ -87,6 +87,32 @@ def test_a_geotiff_lies_on_earth_where_the_site_does(api: LiveApi, tmp_path: Pat
     assert refused.status_code == 422 and "are not in metres" in refused.json()["detail"]
 
 
+def test_what_lies_nowhere_on_earth_replaces_nothing(api: LiveApi, tmp_path: Path) -> None:
+    origin = Origin(latitude_deg=48.0, longitude_deg=11.0)
+    described = site_of(corner_rig(2)).model_copy(update={"origin": origin})
+    on_earth = api.http.post("/v1/sites", json=described.model_dump(mode="json")).json()["id"]
+    before = put(api, on_earth, file=sent(api, on_earth, png())).json()
+    fine, metres = (1e-6, 1e-6, 0.0), (0.5, 0.5, 0.0)
+    for site, scale, tie, key in (
+        (on_earth, fine, (48.0, 111.0), (2048, 4326)),  # latitude and longitude swapped
+        (on_earth, metres, (1e300, 1e300), (3072, 32632)),
+        (on_earth, (1e308, 1e308, 0.0), (5e5, 5e6), (3072, 32632)),
+        (on_earth, metres, (5e5, 5e6), (3072, 5773)),  # heights above a geoid
+        (api.site(), metres, (1e300, 1e300), (3072, 32632)),
+        (api.site(), metres, (5e5, 5e6), (3072, 5773)),
+    ):
+        tags = {SCALE: scale, TIEPOINT: (0.0, 0.0, 0.0, *tie, 0.0), KEYS: keys((1025, 1), key)}
+        data = write_tiff(tmp_path / "o.tif", tags).read_bytes()
+        refused = put(api, site, file=sent(api, site, data, "o.tif"))
+        assert refused.status_code == 422, (tie, key)
+        assert "coordinate" in refused.json()["detail"] and "world file" in refused.json()["hint"]
+    far = sent(api, on_earth, png(30, 30))
+    assert put(api, on_earth, file=far, world_file="1e308\n0\n0\n-1e308\n0\n0").status_code == 422
+    assert api.http.get(f"/v1/sites/{on_earth}").json()["map"] == before
+    told = put(api, on_earth, file=sent(api, on_earth, data, "o.tif"), world_file="1\n0\n0\n-1\n7\n8").json()["map"]
+    assert told["placing"] == [[1, 0, 7], [0, -1, 8]], "whoever says where it lies is believed before the file"
+
+
 def test_what_is_no_map_is_refused(api: LiveApi) -> None:
     site = api.site()
     large = api.begin(site, 200_000_000, "", purpose="map", filename="map.png")

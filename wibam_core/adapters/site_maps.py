@@ -8,6 +8,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
 from wibam_core.adapters.database import Database
 from wibam_core.adapters.files import DataFolder
@@ -17,7 +18,7 @@ from wibam_core.adapters.site_store import SiteStore
 from wibam_core.documents.site_map import PlacedBy, Placing, SiteMap
 from wibam_core.errors import InputError, NotFound
 from wibam_core.exchange.earth import Earth
-from wibam_core.formats.map_pictures import Affine, shrunk
+from wibam_core.formats.map_pictures import MOST_COORDINATE, Affine, shrunk
 from wibam_core.jobs.records import Purpose, StoredFile
 from wibam_core.site import Origin
 
@@ -28,6 +29,19 @@ class KeptMap:
 
     map: SiteMap
     version: str
+
+
+@dataclass(frozen=True)
+class Given:
+    """Where somebody says that a picture lies.
+
+    Attributes:
+        affine: (2, 3), pixel to world as `SiteMap.placing`; of a world file that of the picture as it was sent.
+        placed_by: what tells it.
+    """
+
+    affine: Affine
+    placed_by: PlacedBy
 
 
 class SiteMaps:
@@ -69,47 +83,48 @@ class SiteMaps:
                 raise _nothing(site_id)
             return row.picture
 
-    def take(self, file: StoredFile) -> KeptMap:
+    def take(self, file: StoredFile, given: Given | None = None) -> KeptMap:
         """An uploaded picture takes the place of the one that was there; the upload is used up.
 
         A GeoTIFF is placed by itself: on Earth where the site has an origin, else the map's coordinates are the
         world's.
 
+        Args:
+            file: the upload.
+            given: where the picture lies, whatever the file itself says.
+
         Raises:
-            InputError: it was uploaded for something else, is no picture, or its coordinates are degrees and the site
-                has no origin.
+            InputError: it was uploaded for something else, is no picture, its coordinates are degrees and the site
+                has no origin, or they are no place on Earth; the picture that was there stays.
             TooLarge: it has too many pixels.
             ServiceUnavailable: too many other files are being looked at.
         """
         if file.purpose is not Purpose.MAP:
             raise InputError(f"the file was uploaded as {file.purpose}", hint="Upload it with the purpose 'map'.")
         answer, jpeg = self._glimpses.look(GlimpseRequest(look="map", path=self._folder.file(file)))
-        affine, placing = answer["affine"], None
         size = int(answer["width_px"]), int(answer["height_px"])
-        if affine is not None:
-            origin = self._sites.site(file.site_id).site.origin
-            placing = _rows(_in_world(np.array(affine), answer["epsg"], size, origin))
         found = SiteMap(
             filename=file.filename,
             width_px=size[0],
             height_px=size[1],
             sent_width_px=answer["sent_px"][0],
             sent_height_px=answer["sent_px"][1],
-            placing=placing,
-            placed_by="nothing" if placing is None else "GeoTIFF",
+            placing=None,
+            placed_by="nothing",
         )
+        if given is not None:
+            found = _placed(found, given)
+        elif answer["affine"] is not None:
+            origin = self._sites.site(file.site_id).site.origin
+            placing = _rows(_in_world(np.array(answer["affine"]), answer["epsg"], size, origin))
+            found = found.model_copy(update={"placing": placing, "placed_by": "GeoTIFF"})
         kept = self._save(file.site_id, found, jpeg)
         with contextlib.suppress(NotFound):
             self._sites.retire_file(file.site_id, file.id)
         return kept
 
-    def place(self, site_id: str, affine: Affine, placed_by: PlacedBy) -> KeptMap:
+    def place(self, site_id: str, given: Given) -> KeptMap:
         """Say where the picture lies.
-
-        Args:
-            site_id: the site.
-            affine: (2, 3), pixel to world as `SiteMap.placing`; of a world file that of the picture as it was sent.
-            placed_by: what tells it.
 
         Raises:
             NotFound: the site has no map.
@@ -118,11 +133,7 @@ class SiteMaps:
             row = session.get(SiteMapRow, site_id)
             if row is None:
                 raise _nothing(site_id)
-            there = _kept(row).map
-            if placed_by == "world file":
-                affine = shrunk(affine, there.sent_width_px / there.width_px, there.sent_height_px / there.height_px)
-            change = {"placing": _rows(affine), "placed_by": placed_by}
-            row.document = there.model_copy(update=change).model_dump_json()
+            row.document = _placed(_kept(row).map, given).model_dump_json()
             row.saved_at = self._now()
             session.flush()
             return _kept(row)
@@ -161,25 +172,59 @@ def _rows(affine: Affine) -> Placing:
     return (a, b, c), (d, e, f)
 
 
+def _placed(found: SiteMap, given: Given) -> SiteMap:
+    affine = given.affine
+    if given.placed_by == "world file":
+        affine = shrunk(affine, found.sent_width_px / found.width_px, found.sent_height_px / found.height_px)
+    return found.model_copy(update={"placing": _rows(affine), "placed_by": given.placed_by})
+
+
 def _in_world(affine: Affine, epsg: int | None, size: tuple[int, int], origin: Origin | None) -> Affine:
-    """(2, 3) of pixels to the world, from (2, 3) of pixels to a map's coordinates."""
+    """(2, 3) of pixels to the world, from (2, 3) of pixels to a map's coordinates.
+
+    Raises:
+        InputError: the map's coordinates are not in metres and there is no origin, or they are no place on Earth.
+    """
     from pyproj import CRS, Transformer  # few requests need it
-    from pyproj.exceptions import CRSError
+    from pyproj.exceptions import CRSError, ProjError
 
     try:
         system = None if epsg is None else CRS.from_epsg(epsg)
     except CRSError:
         system = None
+    if system is not None and not (system.is_projected or system.is_geographic):
+        raise InputError(
+            f"the picture's coordinate system ({system.name}) says nothing of places on a map",
+            hint="Save it in another coordinate system, such as UTM, or send a world file or two points with it.",
+        )
+    u, v = (np.array([0.0, n - 1.0]) for n in size)
+    corners = np.array([[x, y, 1.0] for x in u for y in v])
     if system is None or origin is None:
         if system is not None and (system.is_geographic or system.axis_info[0].unit_name != "metre"):
             raise InputError(
                 f"the picture's coordinates ({system.name}) are not in metres",
                 hint="Say where the site's world lies on Earth (origin in its JSON), or project the picture to UTM.",
             )
+        _check_place(affine, "" if system is None else f" of {system.name}")
         return affine
-    u, v = (np.array([0.0, n - 1.0]) for n in size)
-    corners = np.array([[x, y, 1.0] for x in u for y in v])
-    x, y = (affine @ corners.T)[:2]
-    lon, lat = Transformer.from_crs(system, "EPSG:4326", always_xy=True).transform(x, y)
-    world = Earth(origin).world(np.asarray(lon), np.asarray(lat), np.full(len(corners), np.nan))[:, :2]
+    try:
+        to_earth = Transformer.from_crs(system, "EPSG:4326", always_xy=True)
+        with np.errstate(over="ignore", invalid="ignore"):  # what comes of it is checked
+            lon, lat = to_earth.transform(*(affine @ corners.T)[:2])
+            world = Earth(origin).world(np.asarray(lon), np.asarray(lat), np.full(len(corners), np.nan))[:, :2]
+    except ProjError:
+        world = np.full((len(corners), 2), np.nan)
+    _check_place(world, f" of {system.name}")
     return np.linalg.lstsq(corners, world, rcond=None)[0].T
+
+
+def _check_place(numbers: NDArray[np.float64], system: str) -> None:
+    """Raises:
+    InputError: some are no number, or larger than the Earth.
+    """
+    if not (np.abs(numbers) <= MOST_COORDINATE).all():  # nor is what is no number
+        raise InputError(
+            f"the picture's coordinates{system} are no place on Earth",
+            hint="Are its axes swapped, or is it in another coordinate system than it says? Save it anew, in UTM say, "
+            "or send a world file or two points with it.",
+        )

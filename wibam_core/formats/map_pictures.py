@@ -23,6 +23,8 @@ Tags = dict[int, object]
 _FORMATS = ("PNG", "JPEG", "TIFF", "WEBP")
 #: What a confined process can hold a few times over: 10,000 x 10,000.
 MOST_PIXELS = 100_000_000
+#: No map on Earth has larger coordinates, nor pixels, in metres or degrees.
+MOST_COORDINATE = 1e8
 _SCALE, _TIEPOINT, _TRANSFORMATION, _KEYS = 33550, 33922, 34264, 34735
 _RASTER_TYPE, _GEOGRAPHIC, _PROJECTED, _PIXEL_IS_POINT = 1025, 2048, 3072, 2
 
@@ -87,7 +89,7 @@ def world_file(text: str) -> Affine:
     except ValueError:
         raise InputError("the file is no world file", hint=hint) from None
     affine = np.array([[a, b, c], [d, e, f]])
-    if not np.isfinite(affine).all() or abs(np.linalg.det(affine[:, :2])) < 1e-12:
+    if not (np.abs(affine) <= MOST_COORDINATE).all() or abs(np.linalg.det(affine[:, :2])) < 1e-12:
         raise InputError("the numbers of the world file place no picture", hint=hint)
     return affine
 

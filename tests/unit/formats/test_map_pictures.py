@@ -89,7 +89,7 @@ def test_what_is_no_picture_or_too_large_is_refused(tmp_path: Path) -> None:
 def test_a_world_file_places_the_centres_of_pixels() -> None:
     affine = world_file("0.1\n0.0\n0.0\n-0,1\n500.05\n99.95\n")
     np.testing.assert_allclose(affine @ [10, 20, 1], [501.05, 97.95])
-    for text in ("", "1\n2\n3", "a b c d e f", "0\n0\n0\n0\n1\n1", "nan\n0\n0\n1\n1\n1"):
+    for text in ("", "1\n2\n3", "a b c d e f", "0\n0\n0\n0\n1\n1", "nan\n0\n0\n1\n1\n1", "1\n0\n0\n-1\n1e307\n0"):
         with pytest.raises(InputError):
             world_file(text)
 
