@@ -15,6 +15,8 @@ Speed = Annotated[float, Field(ge=-200, le=200)]
 Share = Annotated[float, Field(ge=0, le=1)]
 #: A camera, or a view that is cut from the picture of one with a wide lens.
 ViewId = Annotated[str, Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9_.-]{0,79}$")]
+#: Corners of a region, and regions of an instant.
+MOST_CORNERS, MOST_REGIONS = 100, 200
 Seconds = Annotated[float, Field(ge=0, le=1e7)]
 
 
@@ -59,7 +61,7 @@ class HandRegion(Document):
     is wrong. Hidden: in the picture of a camera, where something stands before the road: a tree, a pole, a building."""
     camera: ViewId | None = None
     """Whose picture; null on the ground."""
-    polygon: Annotated[tuple[tuple[Metres, Metres], ...], Field(min_length=3, max_length=100)]
+    polygon: Annotated[tuple[tuple[Metres, Metres], ...], Field(min_length=3, max_length=MOST_CORNERS)]
     """Corners: X, Y in m in the world, or u, v in px of the recording."""
 
     @model_validator(mode="after")
@@ -70,7 +72,7 @@ class HandRegion(Document):
 
 
 #: All regions of an instant.
-HandRegions = Annotated[tuple[HandRegion, ...], Field(max_length=200)]
+HandRegions = Annotated[tuple[HandRegion, ...], Field(max_length=MOST_REGIONS)]
 
 
 class HandLabels(Document):

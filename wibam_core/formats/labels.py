@@ -18,6 +18,7 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 
+from wibam_core.documents.hand_labels import MOST_CORNERS, MOST_REGIONS
 from wibam_core.errors import InvalidLabels
 from wibam_core.formats import tables
 from wibam_core.geometry.box3d import BOX_FIELDS, SIZE
@@ -77,7 +78,7 @@ def read_labels(path: Path) -> list[LabelledInstant]:
     if _is_parquet(path):
         table, empty_pairs = tables.read_table(path, SCHEMA, "labels", InvalidLabels)
         empty = [time for time, _ in empty_pairs]
-        regions = _regions(json.loads((pq.read_schema(path).metadata or {}).get(_DO_NOT_CARE, b"[]")), path.name)
+        regions = _regions(tables.read_note(pq.read_schema(path), _DO_NOT_CARE, path.name, InvalidLabels), path.name)
     else:
         table, empty, regions = _read_json(path)
     table = table.sort_by([("time_ns", "ascending")])
@@ -114,6 +115,12 @@ def _with_regions(found: list[LabelledInstant], regions: list[tuple[int, FloatAr
             f"do_not_care names {unknown[0]} ns, where nothing is labelled",
             hint="Name a labelled instant, or list it among the empty_instants.",
         )
+    for time_ns, polygons in by_time.items():
+        if len(polygons) > MOST_REGIONS:
+            raise InvalidLabels(
+                f"do_not_care has {len(polygons)} regions at {time_ns} ns, and an instant has {MOST_REGIONS} at most",
+                hint="Join those that lie beside each other.",
+            )
     return [replace(one, do_not_care=tuple(by_time.get(one.vehicles.time_ns, ()))) for one in found]
 
 
@@ -123,9 +130,14 @@ def _regions(given: Any, name: str) -> list[tuple[int, FloatArray]]:
         found = [(int(one["time_ns"]), np.array(one["polygon"], np.float64)) for one in given]
     except (TypeError, ValueError, KeyError, OverflowError) as cause:
         raise InvalidLabels(f"{name}: do_not_care is no list of regions", hint=_REGIONS) from cause
-    for _, polygon in found:
+    for time_ns, polygon in found:
         if polygon.ndim != 2 or polygon.shape[1] != 2 or len(polygon) < 3 or not np.isfinite(polygon).all():
             raise InvalidLabels(f"{name}: do_not_care has a polygon that is none", hint=_REGIONS)
+        if len(polygon) > MOST_CORNERS:
+            raise InvalidLabels(
+                f"{name}: do_not_care has a polygon of {len(polygon)} corners at {time_ns} ns, {MOST_CORNERS} at most",
+                hint="Draw it more simply, or as several.",
+            )
     return found
 
 

@@ -9,6 +9,7 @@ import json
 from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from types import MappingProxyType
+from typing import Any
 
 import numpy as np
 import pyarrow as pa
@@ -18,6 +19,7 @@ from numpy.typing import NDArray
 from wibam_core.errors import InputError
 from wibam_core.geometry.box3d import BOX_FIELDS
 from wibam_core.road_users import CLASSES, RoadUserClass
+from wibam_core.text import decode_text, read_json
 
 Array = NDArray[np.float64]
 
@@ -123,16 +125,42 @@ def read_table(
         The table, and its empty instants.
 
     Raises:
-        InputError: (or ``error``) the file is no Parquet file, or lacks or mistypes a column.
+        InputError: (or ``error``) the file is no Parquet file, lacks or mistypes a column, or names its empty instants
+            in no way that can be read.
     """
     try:
         table = pq.read_table(path, filters=filters)
     except (OSError, pa.ArrowInvalid) as cause:
         raise error(f"{path.name} cannot be read as Parquet: {cause}", hint=f"A {what} file is Parquet.") from cause
-    metadata = table.schema.metadata or {}
-    return conform(table, schema, path.name, what, error), [
-        (int(time), camera) for time, camera in json.loads(metadata.get(_EMPTY_INSTANTS, b"[]"))
-    ]
+    pairs = read_note(table.schema, _EMPTY_INSTANTS, path.name, error)
+    try:
+        empty = [(int(time), camera) for time, camera in pairs]
+    except (TypeError, ValueError, OverflowError) as cause:
+        raise error(
+            f"{path.name}: {_EMPTY_INSTANTS.decode()} is no list of instants",
+            hint="Each is [time_ns, camera], or [time_ns, null] where it is of all cameras.",
+        ) from cause
+    return conform(table, schema, path.name, what, error), empty
+
+
+def read_note(schema: pa.Schema, key: bytes, name: str, error: type[InputError] = InputError) -> Any:
+    """What a file's metadata say under a key, in JSON; an empty list where they say nothing.
+
+    Args:
+        schema: of the file, with its metadata.
+        key: in the metadata.
+        name: of the file, for the error's sentence.
+        error: the error to raise.
+
+    Raises:
+        InputError: (or ``error``) it is no JSON in Unicode.
+    """
+    try:
+        return read_json(decode_text((schema.metadata or {}).get(key, b"[]")))
+    except ValueError as cause:
+        raise error(
+            f"{name}: {key.decode()} in its metadata is no JSON: {cause}", hint="Write it as JSON, in UTF-8."
+        ) from cause
 
 
 def conform(table: pa.Table, schema: pa.Schema, name: str, what: str, error: type[InputError] = InputError) -> pa.Table:

@@ -6,6 +6,7 @@ import json
 from pathlib import Path
 
 import numpy as np
+import pyarrow.parquet as pq
 import pytest
 from pydantic import ValidationError
 
@@ -54,3 +55,42 @@ def test_regions_that_are_none_are_refused(tmp_path: Path) -> None:
     for wrong in ({"kind": "hidden"}, {"kind": "do_not_care", "camera": "cam1"}):
         with pytest.raises(ValidationError, match="names its camera"):
             HandRegion.model_validate({**wrong, "polygon": YARD})
+
+
+def circle(corners: int) -> list[list[float]]:
+    angles = np.linspace(0, 2 * np.pi, corners, endpoint=False)
+    return np.column_stack([np.cos(angles), np.sin(angles)]).tolist()
+
+
+@pytest.mark.parametrize(
+    ("corners", "regions", "said"),
+    [
+        (100, 200, ""),
+        (101, 1, "a polygon of 101 corners at 0 ns, 100 at most"),
+        (3, 201, "201 regions at 0 ns, and an instant has 200 at most"),
+    ],
+)
+def test_a_file_has_no_more_than_can_be_labelled(tmp_path: Path, corners: int, regions: int, said: str) -> None:
+    path = tmp_path / "labels.json"
+    given = [{"time_ns": time_ns, "polygon": circle(corners)} for time_ns in (0, 4) for _ in range(regions - time_ns)]
+    path.write_text(json.dumps({"labels": [], "empty_instants": [0, 4], "do_not_care": given}))
+    if said:
+        with pytest.raises(InvalidLabels, match=said) as refused:
+            read_labels(path)
+        assert refused.value.hint
+    else:
+        assert len(hand_labels(read_labels(path)[0]).regions) == regions
+
+
+@pytest.mark.parametrize("key", ["wibam.do_not_care", "wibam.empty_instants"])
+@pytest.mark.parametrize(
+    "note", [b"[{", b"\xff", b"", b"5", b"[1]", b'[["a", null]]', b"[[1e999, null]]", b"[" * 100_000]
+)
+def test_metadata_that_are_none_are_refused(tmp_path: Path, key: str, note: bytes) -> None:
+    path = tmp_path / "labels.parquet"
+    write_labels(path, [labelled_instant(labels(), corner_rig(2))])
+    table = pq.read_table(path)
+    pq.write_table(table.replace_schema_metadata({**table.schema.metadata, key.encode(): note}), path)
+    with pytest.raises(InvalidLabels, match=key.removeprefix("wibam.")) as refused:
+        read_labels(path)
+    assert refused.value.hint
