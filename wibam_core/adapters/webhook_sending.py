@@ -14,6 +14,7 @@ import socket
 import threading
 import time
 from collections.abc import Sequence
+from concurrent.futures import Future
 from urllib.parse import urlsplit
 
 import httpx
@@ -29,7 +30,9 @@ Address = ipaddress.IPv4Address | ipaddress.IPv6Address
 _LOOK_EVERY_S = 1.0
 _AT_ONCE = 16
 _MOST_URL = 2000
-#: For all of one attempt, however slowly the other side trickles.
+#: For the name. Resolvers ask the next name server after 5 s by default.
+_LOOKUP_S = 10.0
+#: For all that follows, however slowly the other side trickles.
 _TIMEOUT_S = 15.0
 _LEASE_S = 60.0
 #: Their last 32 bits are an IPv4 address: NAT64 (RFC 6052), and "IPv4-compatible" ones (RFC 4291, 2.5.5.1).
@@ -116,7 +119,7 @@ class WebhookSender:
         """Returns once what was being sent has ended, one way or the other."""
         self._stop.set()
         if self._thread is not None:
-            self._thread.join(timeout=_TIMEOUT_S + 5.0)
+            self._thread.join(timeout=_LOOKUP_S + _TIMEOUT_S + 5.0)
 
     def send_due(self) -> int:
         """Try what is due now; returns how many that was."""
@@ -146,11 +149,15 @@ class WebhookSender:
     async def _attempt(self, http: httpx.AsyncClient, due: Due) -> Attempt:
         began, started = time.time(), time.monotonic()
         status, error = None, ""
+        late = f"its name was not found within {_LOOKUP_S:g} s"
         try:
+            async with asyncio.timeout(_LOOKUP_S):
+                address = await self._address(httpx.URL(due.url))
+            late = f"no answer within {_TIMEOUT_S:g} s"
             async with asyncio.timeout(_TIMEOUT_S):
-                status = await self._post(http, due, int(began))
+                status = await self._post(http, due, address, int(began))
         except TimeoutError:
-            error = f"no answer within {_TIMEOUT_S:g} s"
+            error = late
         except Refused as refused:
             error = refused.message
         except Exception as trouble:  # whatever it was: it is this receiver's, and no other waits for it
@@ -159,14 +166,15 @@ class WebhookSender:
             error = f"answered with status {status}"
         return Attempt(began, status, error, round(time.monotonic() - started, 3))
 
-    async def _post(self, http: httpx.AsyncClient, due: Due, now_s: int) -> int:
-        url = httpx.URL(due.url)
-        port = url.port or (443 if url.scheme == "https" else 80)
-        loop = asyncio.get_running_loop()
-        found = await loop.getaddrinfo(url.host, port, type=socket.SOCK_STREAM)
-        addresses = [ipaddress.ip_address(str(info[4][0]).partition("%")[0]) for info in found]
-        for address in addresses:
+    async def _address(self, url: httpx.URL) -> Address:
+        """The first address of a URL's host, of which all have been judged."""
+        found = await asyncio.wrap_future(_look_up(url.host))
+        for address in found:
             _check(address, self._allowed)
+        return found[0]
+
+    async def _post(self, http: httpx.AsyncClient, due: Due, address: Address, now_s: int) -> int:
+        url = httpx.URL(due.url)
         body = due.delivery.body.encode()
         headers = {
             "Host": url.netloc.decode("ascii"),
@@ -174,8 +182,24 @@ class WebhookSender:
             "User-Agent": f"WIBAM/{__version__}",
             **signed_headers(due.secret, due.delivery.id, now_s, body),
         }
-        pinned = url.copy_with(host=str(addresses[0]))
+        pinned = url.copy_with(host=str(address))
         # certificates are checked against the name, not the address
         extensions = {"sni_hostname": url.host} if url.scheme == "https" else {}
         async with http.stream("POST", pinned, content=body, headers=headers, extensions=extensions) as response:
             return response.status_code  # what else it says interests nobody
+
+
+def _look_up(host: str) -> Future[list[Address]]:
+    """The addresses of a host. A lookup cannot be ended, so that each has a thread that nobody needs to wait for."""
+    found: Future[list[Address]] = Future()
+    found.set_running_or_notify_cancel()  # from now on it can no longer be cancelled, but be left alone
+
+    def look() -> None:
+        try:
+            infos = socket.getaddrinfo(host, None, type=socket.SOCK_STREAM)
+            found.set_result([ipaddress.ip_address(str(info[4][0]).partition("%")[0]) for info in infos])
+        except Exception as trouble:  # whatever it was: who waits for it learns it
+            found.set_exception(trouble)
+
+    threading.Thread(target=look, name="webhook lookup", daemon=True).start()
+    return found

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import asyncio
 import base64
 import hashlib
 import hmac
@@ -192,6 +193,57 @@ class TestRetries:
         assert only(hooks, well.id).state is DeliveryState.DELIVERED
         assert only(hooks, hopeless.id).attempts[0].error
         assert only(hooks, hopeless.id).state is DeliveryState.PENDING
+
+    def test_names_that_no_server_answers_for_hold_no_other_up(
+        self, hooks: WebhookStore, sender: WebhookSender, told: Receiver, monkeypatch: pytest.MonkeyPatch
+    ) -> None:
+        monkeypatch.setattr(webhook_sending, "_LOOKUP_S", 1.0)
+        over, ended = threading.Event(), threading.Semaphore(0)
+        look_up = socket.getaddrinfo
+
+        def silent(host: Any, *rest: Any, **more: Any) -> Any:
+            if str(host).endswith(".example"):
+                over.wait(10)
+                ended.release()
+                raise socket.gaierror("no server answers")
+            return look_up(host, *rest, **more)
+
+        dead = [hooks.create(f"http://dead{i}.example/", USUAL_EVENTS)[0] for i in range(15)]
+        well, _ = hooks.create(told.url, USUAL_EVENTS)
+        for hook in (*dead, well):
+            hooks.ping(hook.id)
+        monkeypatch.setattr(socket, "getaddrinfo", silent)
+        assert sender.send_due() == 16
+        assert not ended.acquire(blocking=False), "a lookup was waited for to its end"
+        over.set()
+        for _ in dead:
+            assert ended.acquire(timeout=30)
+        assert only(hooks, well.id).state is DeliveryState.DELIVERED
+        errors = {only(hooks, hook.id).attempts[0].error for hook in dead}
+        assert errors == {"its name was not found within 1 s"}
+        assert {only(hooks, hook.id).state for hook in dead} == {DeliveryState.PENDING}
+
+    def test_how_long_a_name_is_looked_up_is_not_taken_from_the_answer(
+        self, hooks: WebhookStore, sender: WebhookSender, told: Receiver, monkeypatch: pytest.MonkeyPatch
+    ) -> None:
+        looked_up, timeout = threading.Event(), asyncio.timeout
+        look_up = socket.getaddrinfo
+
+        def slow(*asked: Any, **more: Any) -> Any:
+            looked_up.set()
+            return look_up(*asked, **more)
+
+        limits: list[tuple[float, bool]] = []
+
+        def limited(seconds: float) -> Any:
+            limits.append((seconds, looked_up.is_set()))
+            return timeout(seconds)
+
+        hooks.ping(hooks.create(told.url, USUAL_EVENTS)[0].id)
+        monkeypatch.setattr(socket, "getaddrinfo", slow)
+        monkeypatch.setattr(asyncio, "timeout", limited)
+        sender.send_due()
+        assert limits == [(webhook_sending._LOOKUP_S, False), (webhook_sending._TIMEOUT_S, True)]
 
 
 class TestAddresses:
