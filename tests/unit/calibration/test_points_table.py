@@ -62,6 +62,26 @@ def test_longitudes_and_latitudes_calibrate_a_camera(tmp_path: Path) -> None:
     np.testing.assert_allclose([one.world for one in calibration.correspondences], GROUND, atol=2e-3)
 
 
+BOTH = "lon,lat,easting,northing,u,v\n11.57,48.14,691234.5,5334567.25,30,40\n"
+
+
+@pytest.mark.parametrize(
+    ("line", "place", "crs"),
+    [
+        ("#CRS: EPSG:25832\n", [691_234.5, 5_334_567.25], "EPSG:25832"),
+        ("#CRS: EPSG:4258\n", [11.57, 48.14], "EPSG:4258"),
+        ("", [11.57, 48.14], "EPSG:4326"),
+    ],
+)
+def test_of_two_pairs_of_places_the_one_counts_that_the_system_is_of(line: str, place: list[float], crs: str) -> None:
+    [camera] = read_named("gcp.csv", line + BOTH)[1]
+    assert camera.points is not None and camera.points.crs == crs
+    np.testing.assert_array_equal(camera.points.coordinates[0, :2], place)
+    names = ("lon and lat", "easting and northing")
+    used, left = names if place[0] < 180 else names[::-1]
+    assert camera.notes == (f"Places are {used} in {crs}; {left} were left out.",)
+
+
 def test_rows_of_several_cameras_and_points_without_a_pixel() -> None:
     text = "name,camera,x,y,u,v\np1,north,1,2,30,40\np2,south,1,2,50,60\np3,north,5,6,,\n"
     found = {camera.name: camera for camera in read_named("gcp.csv", text)[1]}
@@ -80,6 +100,12 @@ def test_rows_of_several_cameras_and_points_without_a_pixel() -> None:
         ("x,y,u,v\n1,2,nan,4\n", "not finite"),
         ("east,u,v\n1,2,3\n", "no two columns of places"),
         ("x,X,y,u,v\n1,1,2,3,4\n", "two columns x"),
+        (
+            "#CRS: EPSG:25832\nlon,lat,u,v\n11.57,48.14,3,4\n",
+            "has lon and lat, but names EPSG:25832, which has neither",
+        ),
+        ("#CRS: EPSG:4978\nlon,lat,u,v\n11.57,48.14,3,4\n", "but names EPSG:4978"),
+        ("#CRS: Gauss\nlon,lat,u,v\n11.57,48.14,3,4\n", "system Gauss is not known"),
     ],
 )
 def test_tables_that_cannot_be_understood_are_refused_with_the_place(text: str, words: str) -> None:

@@ -132,3 +132,15 @@ def first(values: Mapping[str, Any], names: Sequence[str]) -> Any:
     """The value of the first of the names that there is, letter case and underscores aside; None without."""
     plain = {key.lower().replace("_", ""): value for key, value in values.items() if isinstance(key, str)}
     return next((plain[name] for name in names if name in plain), None)
+
+
+def short_crs(crs: str) -> str:
+    """A coordinate reference system, for a sentence: its beginning where it is written at length."""
+    return crs if len(crs) <= 40 else f"{crs[:37]}..."
+
+
+def unknown_crs(crs: str) -> InputError:
+    """The refusal of a coordinate reference system that PROJ does not know."""
+    return InputError(
+        f"the coordinate reference system {short_crs(crs)} is not known", hint="Name it by its code, as EPSG:25832."
+    )

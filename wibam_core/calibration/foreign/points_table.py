@@ -10,8 +10,8 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from wibam_core.calibration.foreign.base import FoundCamera, Reader, SurveyedPoints
-from wibam_core.calibration.foreign.rows import header_of, read_rows
+from wibam_core.calibration.foreign.base import FoundCamera, Reader, SurveyedPoints, short_crs, unknown_crs
+from wibam_core.calibration.foreign.rows import Rows, header_of, read_rows
 from wibam_core.errors import InputError
 
 _X, _Y = ("x", "easting", "east", "e"), ("y", "northing", "north", "n")
@@ -33,10 +33,7 @@ def _one_of(wanted: Sequence[str], names: Sequence[str]) -> str | None:
 
 def _read(text: str) -> Sequence[FoundCamera]:
     table = read_rows(text)
-    places = (_one_of(_LONGITUDE, table.names), _one_of(_LATITUDE, table.names))
-    on_earth = None not in places
-    if not on_earth:
-        places = (_one_of(_X, table.names), _one_of(_Y, table.names))
+    places, crs, notes = _places(table)
     pixel = (_one_of(_U, table.names), _one_of(_V, table.names))
     x, y, u, v = (*places, *pixel)
     if x is None or y is None or u is None or v is None:
@@ -64,9 +61,49 @@ def _read(text: str) -> Sequence[FoundCamera]:
         found.setdefault(row.get(camera, "").strip() if camera else "", []).append([*numbers, *optional])
     if not found:
         raise InputError("no row has a pixel", hint="Give u and v, in pixels of the recording.")
-    notes = (f"{unseen} points without a pixel were left out.",) if unseen else ()
-    crs = table.crs or (_WGS84 if on_earth else "")
-    return [_camera(name, np.array(rows), crs or None, notes) for name, rows in found.items()]
+    if unseen:
+        notes = (*notes, f"{unseen} points without a pixel were left out.")
+    return [_camera(name, np.array(rows), crs, notes) for name, rows in found.items()]
+
+
+def _places(table: Rows) -> tuple[tuple[str | None, str | None], str | None, tuple[str, ...]]:
+    """The two columns that say where points are, the system that they are in, and what a person should know of it.
+
+    Longitude and latitude come first, unless the table names a system of another kind: that is of x and y.
+
+    Raises:
+        InputError: there are longitude and latitude alone, and the table names a system that has none.
+    """
+    earth = (_one_of(_LONGITUDE, table.names), _one_of(_LATITUDE, table.names))
+    plane = (_one_of(_X, table.names), _one_of(_Y, table.names))
+    if None in earth:
+        return plane, table.crs or None, ()
+    of_earth = not table.crs or _has_longitudes(table.crs)
+    if None in plane:
+        if not of_earth:
+            raise InputError(
+                f"the table has {earth[0]} and {earth[1]}, but names {short_crs(table.crs)}, which has neither",
+                hint="Leave the line #CRS out where they are in WGS 84, or call the columns easting and northing.",
+            )
+        return earth, table.crs or _WGS84, ()
+    used, left, crs = (earth, plane, table.crs or _WGS84) if of_earth else (plane, earth, table.crs)
+    note = f"Places are {used[0]} and {used[1]} in {short_crs(crs)}; {left[0]} and {left[1]} were left out."
+    return used, crs, (note,)
+
+
+def _has_longitudes(crs: str) -> bool:
+    """Whether a coordinate reference system is one of longitude and latitude.
+
+    Raises:
+        InputError: it is not known.
+    """
+    from pyproj import CRS  # takes longer to import than all else here
+    from pyproj.exceptions import CRSError
+
+    try:
+        return bool(CRS.from_user_input(crs).is_geographic)
+    except CRSError as error:
+        raise unknown_crs(crs) from error
 
 
 def _camera(name: str, rows: np.ndarray, crs: str | None, notes: tuple[str, ...]) -> FoundCamera:

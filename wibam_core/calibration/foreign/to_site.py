@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from wibam_core.calibration.foreign.base import FoundCamera, Intrinsics, SurveyedPoints
+from wibam_core.calibration.foreign.base import FoundCamera, Intrinsics, SurveyedPoints, short_crs, unknown_crs
 from wibam_core.errors import InputError
 from wibam_core.exchange.earth import Earth
 from wibam_core.geometry.pixels import resized_intrinsics, scale_of
@@ -170,7 +170,7 @@ def _world(points: SurveyedPoints, origin: Origin | None, *, raised: bool) -> tu
     placed = Earth(origin).world(longitude, latitude, points.altitudes_m)
     notes.append(
         f"World coordinates are metres from {origin.latitude_deg:.7f}, {origin.longitude_deg:.7f} (WGS 84), "
-        f"X at bearing {origin.x_axis_bearing_deg:g}°; the points came in {_short(points.crs)}."
+        f"X at bearing {origin.x_axis_bearing_deg:g}°; the points came in {short_crs(points.crs)}."
     )
     if raised and origin.altitude_m is not None:
         above = np.where(np.isnan(points.altitudes_m), 0.0, placed[:, 2])
@@ -193,13 +193,9 @@ def _geographic(points: SurveyedPoints) -> tuple[Array, Array]:
         transformer = Transformer.from_crs(CRS.from_user_input(points.crs), 4326, always_xy=True)
         longitude, latitude = transformer.transform(*points.coordinates[:, :2].T)
     except (CRSError, ProjError) as error:
-        raise InputError(f"the coordinate reference system {_short(points.crs or '')} is not known") from error
+        raise unknown_crs(points.crs or "") from error
     if not (np.isfinite(longitude).all() and np.isfinite(latitude).all()):
         raise InputError(
-            "some points lie nowhere on Earth", hint=f"Are they in {_short(points.crs or '')}, easting first?"
+            "some points lie nowhere on Earth", hint=f"Are they in {short_crs(points.crs or '')}, easting first?"
         )
     return np.asarray(longitude), np.asarray(latitude)
-
-
-def _short(crs: str) -> str:
-    return crs if len(crs) <= 40 else f"{crs[:37]}..."
