@@ -75,7 +75,8 @@ def read_rows(text: str) -> Rows:
             )
         if any(cell.strip() for cell in cells):
             rows.append((number, dict(zip(names, cells, strict=False))))
-    crs = next((line[5:].strip() for line in text.splitlines() if line.upper().startswith("#CRS:")), "")
+    said = re.search(r"^#\s*CRS\s*:\s*(.*?)\s*$", text, re.IGNORECASE | re.MULTILINE)
+    crs = said[1] if said else ""
     return Rows(names, rows, crs, delimiter != ",")
 
 
