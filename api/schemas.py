@@ -20,7 +20,7 @@ from wibam_core.job_kind import JobKind
 from wibam_core.jobs.estimate import job_fraction, pace_of, remaining_s, stage_remaining_s
 from wibam_core.jobs.records import Event, Job, Purpose, SiteRecord, StageRun, StoredFile
 from wibam_core.jobs.states import JobState, StageState
-from wibam_core.site import Site
+from wibam_core.site import Origin, Site
 from wibam_core.stages.graph import STAGES, PlannedStage
 
 
@@ -37,10 +37,15 @@ class MapOut(BaseModel):
 
     map: SiteMap
     version: str = Field(description="changes with the picture and with its place")
+    note: str = Field("", description="why its placing is left out: it was found by another origin than is asked for")
 
     @classmethod
-    def of(cls, kept: KeptMap | None) -> MapOut | None:
-        return None if kept is None else cls(map=kept.map, version=kept.version)
+    def of(cls, kept: KeptMap | None, origin: Origin | None) -> MapOut | None:
+        """As it lies in a world with this origin."""
+        if kept is None:
+            return None
+        seen = kept.seen_from(origin)
+        return cls(map=seen.map, version=seen.version, note=seen.note)
 
 
 class SiteOut(BaseModel):
@@ -61,7 +66,7 @@ class SiteOut(BaseModel):
             cameras=list(record.site.camera_ids),
             created_at=_time(record.created_at),
             site=record.site,
-            map=MapOut.of(kept),
+            map=MapOut.of(kept, record.site.origin),
         )
 
 

@@ -116,7 +116,7 @@ def scene(job_id: str, services: ServicesDep) -> SceneOut:
             for item in CLASSES
         ],
         origin=job.site.origin,
-        map=MapOut.of(services.maps.find(job.site_id)),
+        map=MapOut.of(services.maps.find(job.site_id), job.site.origin),
     )
 
 

@@ -49,7 +49,8 @@ def replace(site_id: str, site: Site, services: ServicesDep) -> SiteOut:
     cameras that the site no longer has are taken off it.
 
     Jobs keep the description that they were created with, even when they are restarted: create a new job to use this
-    one. It reuses the stages that the change does not touch.
+    one. It reuses the stages that the change does not touch. With another origin, a GeoTIFF that was placed by the one
+    before has no place; `note` of `map` says so.
     """
     site.check()
     return SiteOut.of(services.sites.replace_site(site_id, site), services.maps.find(site_id))

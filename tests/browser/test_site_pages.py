@@ -17,6 +17,7 @@ from tests.browser.conftest import Visit, visit
 from tests.builders import look_at
 from tests.recordings import write_recording
 from tests.service import LiveApi, live_api, settings_for
+from tests.unit.formats.test_map_pictures import KEYS, SCALE, TIEPOINT, keys, write_tiff
 from wibam_core.geometry.camera import Camera
 from wibam_core.stages.graph import STAGES
 
@@ -268,3 +269,20 @@ def test_a_map_is_placed_by_two_points_and_stays_beneath_the_plan(
     page.wait_for_function(f"at => ({middle})(at)[0] > 150", arg=[450, 260])
     page.get_by_role("button", name="Take the map away").click()
     page.get_by_text("The map is gone").wait_for()
+
+
+def test_a_map_that_another_origin_laid_on_earth_is_said_to_have_no_place(
+    signed_in: Visit, api: LiveApi, tmp_path: Path
+) -> None:
+    site = api.site()
+    described = api.http.get(f"/v1/sites/{site}").json()["site"]
+    origin = {"latitude_deg": 48.753, "longitude_deg": 9.0}
+    api.http.put(f"/v1/sites/{site}", json={**described, "origin": origin})
+    tags = {SCALE: (0.5, 0.5, 0.0), TIEPOINT: (0.0, 0.0, 0.0, 5e5, 5.4e6, 0.0), KEYS: keys((3072, 32632))}
+    data = write_tiff(tmp_path / "o.tif", tags).read_bytes()
+    begun = api.begin(site, len(data), "", purpose="map", filename="o.tif").headers["Location"]
+    api.send(begun, 0, data)
+    assert api.http.put(f"/v1/sites/{site}/map", json={"file": begun.rpartition("/")[2]}).status_code == 200
+    api.http.put(f"/v1/sites/{site}", json={**described, "origin": {**origin, "x_axis_bearing_deg": 0.0}})
+    for path in (f"/sites/{site}", f"/sites/{site}/cameras/cam1"):
+        signed_in.open(path).get_by_text("o.tif has no place here").wait_for()

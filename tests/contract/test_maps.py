@@ -43,7 +43,7 @@ def test_a_picture_is_kept_placed_and_taken_away(api: LiveApi) -> None:
     taken = put(api, site, file=file).json()
     assert taken["map"] == {
         "filename": "map.png", "width_px": 60, "height_px": 40, "sent_width_px": 60, "sent_height_px": 40,
-        "placing": None, "placed_by": "nothing",
+        "placing": None, "placed_by": "nothing", "origin": None,
     }  # fmt: skip
     assert api.http.get(f"/v1/sites/{site}/recordings").json() == [], "the upload is used up"
     picture = api.http.get(f"/v1/sites/{site}/map")
@@ -137,3 +137,29 @@ def test_a_job_shows_it_and_never_works_with_it(api: LiveApi) -> None:
     assert [file["purpose"] for file in api.http.post(f"/v1/sites/{site}/jobs", json={}).json()["files"]] == [
         "recording"
     ]
+
+
+def test_a_map_lies_where_it_was_placed_in_no_other_world(api: LiveApi, tmp_path: Path) -> None:
+    """The job is older than the site's origin: the GeoTIFF, which that origin laid, has no place beside its tracks."""
+    job = finished_job(api, b"older than the origin")
+    site = api.http.get(f"/v1/jobs/{job}").json()["site_id"]
+    plain = api.http.get(f"/v1/sites/{site}").json()["site"]
+    here = {**plain, "origin": {"latitude_deg": 48.753, "longitude_deg": 9.0}}
+    api.http.put(f"/v1/sites/{site}", json=here)
+    tags = {SCALE: (0.5, 0.5, 0.0), TIEPOINT: (0.0, 0.0, 0.0, 500_000.0, 5_400_000.0, 0.0)}
+    data = write_tiff(tmp_path / "o.tif", {**tags, KEYS: keys((1025, 1), (3072, 32632))}).read_bytes()
+    placed = put(api, site, file=sent(api, site, data, "o.tif")).json()
+    assert placed["map"]["placing"] is not None and placed["note"] == ""
+    beside = api.http.get(f"/v1/jobs/{job}/scene").json()["map"]
+    assert beside["map"]["placing"] is None and "o.tif has no place here" in beside["note"]
+    for change, shown in (
+        ({"longitude_deg": 9.1}, False),
+        ({"x_axis_bearing_deg": 80.0}, False),
+        ({"epsg": 25832}, True),
+    ):
+        changed = {**here, "origin": {**here["origin"], **change}}
+        said = api.http.put(f"/v1/sites/{site}", json=changed).json()["map"]
+        assert (said["map"]["placing"] is not None) == shown == (said["note"] == ""), change
+    by_hand = put(api, site, world_file="1\n0\n0\n-1\n0\n0").json()
+    api.http.put(f"/v1/sites/{site}", json=plain)
+    assert api.http.get(f"/v1/sites/{site}").json()["map"] == by_hand, "this place is the world's own"

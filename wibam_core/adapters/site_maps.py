@@ -5,7 +5,7 @@ from __future__ import annotations
 import contextlib
 import time
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -25,10 +25,29 @@ from wibam_core.site import Origin
 
 @dataclass(frozen=True)
 class KeptMap:
-    """A site's map; ``version`` changes with the picture and with its place."""
+    """A site's map.
+
+    Attributes:
+        map: where it lies, and whose picture it is.
+        version: changes with the picture and with its place.
+        note: why its placing is left out; empty where it is not.
+    """
 
     map: SiteMap
     version: str
+    note: str = ""
+
+    def seen_from(self, origin: Origin | None) -> KeptMap:
+        """For a world with this origin: without its placing, where that was found by another one."""
+        by = self.map.origin
+        if by is None or (origin is not None and _same_world(by, origin)):
+            return self
+        unplaced = self.map.model_copy(update={"placing": None, "placed_by": "nothing", "origin": None})
+        note = (
+            f"The map {self.map.filename} has no place here: it was laid on Earth by another origin. Place it by two "
+            "points or its world file; uploaded again, it lies where the site's present origin says."
+        )
+        return replace(self, map=unplaced, note=note)
 
 
 @dataclass(frozen=True)
@@ -116,8 +135,9 @@ class SiteMaps:
             found = _placed(found, given)
         elif answer["affine"] is not None:
             origin = self._sites.site(file.site_id).site.origin
-            placing = _rows(_in_world(np.array(answer["affine"]), answer["epsg"], size, origin))
-            found = found.model_copy(update={"placing": placing, "placed_by": "GeoTIFF"})
+            affine, used = _in_world(np.array(answer["affine"]), answer["epsg"], size, origin)
+            change = {"placing": _rows(affine), "placed_by": "GeoTIFF", "origin": used}
+            found = found.model_copy(update=change)
         kept = self._save(file.site_id, found, jpeg)
         with contextlib.suppress(NotFound):
             self._sites.retire_file(file.site_id, file.id)
@@ -163,6 +183,12 @@ def _kept(row: SiteMapRow) -> KeptMap:
     return KeptMap(SiteMap.model_validate_json(row.document), f"{row.saved_at:.6f}")
 
 
+def _same_world(first: Origin, second: Origin) -> bool:
+    """Whether both lay a world on the same place; heights, and the system of exports, move no map."""
+    where = ("latitude_deg", "longitude_deg", "x_axis_bearing_deg")
+    return all(getattr(first, name) == getattr(second, name) for name in where)
+
+
 def _nothing(site_id: str) -> NotFound:
     return NotFound(f"site {site_id} has no map", hint="Upload a picture with the purpose 'map', then PUT it here.")
 
@@ -176,11 +202,13 @@ def _placed(found: SiteMap, given: Given) -> SiteMap:
     affine = given.affine
     if given.placed_by == "world file":
         affine = shrunk(affine, found.sent_width_px / found.width_px, found.sent_height_px / found.height_px)
-    return found.model_copy(update={"placing": _rows(affine), "placed_by": given.placed_by})
+    return found.model_copy(update={"placing": _rows(affine), "placed_by": given.placed_by, "origin": None})
 
 
-def _in_world(affine: Affine, epsg: int | None, size: tuple[int, int], origin: Origin | None) -> Affine:
-    """(2, 3) of pixels to the world, from (2, 3) of pixels to a map's coordinates.
+def _in_world(
+    affine: Affine, epsg: int | None, size: tuple[int, int], origin: Origin | None
+) -> tuple[Affine, Origin | None]:
+    """(2, 3) of pixels to the world, from (2, 3) of pixels to a map's coordinates; and the origin, if that needs it.
 
     Raises:
         InputError: the map's coordinates are not in metres and there is no origin, or they are no place on Earth.
@@ -206,7 +234,7 @@ def _in_world(affine: Affine, epsg: int | None, size: tuple[int, int], origin: O
                 hint="Say where the site's world lies on Earth (origin in its JSON), or project the picture to UTM.",
             )
         _check_place(affine, "" if system is None else f" of {system.name}")
-        return affine
+        return affine, None
     try:
         to_earth = Transformer.from_crs(system, "EPSG:4326", always_xy=True)
         with np.errstate(over="ignore", invalid="ignore"):  # what comes of it is checked
@@ -215,7 +243,7 @@ def _in_world(affine: Affine, epsg: int | None, size: tuple[int, int], origin: O
     except ProjError:
         world = np.full((len(corners), 2), np.nan)
     _check_place(world, f" of {system.name}")
-    return np.linalg.lstsq(corners, world, rcond=None)[0].T
+    return np.linalg.lstsq(corners, world, rcond=None)[0].T, origin
 
 
 def _check_place(numbers: NDArray[np.float64], system: str) -> None:

@@ -7,6 +7,7 @@ from typing import Annotated, Literal
 from pydantic import Field
 
 from wibam_core.documents.base import Document
+from wibam_core.site import Origin
 
 Row = Annotated[tuple[float, float, float], Field(description="a, b, c of a u + b v + c")]
 Placing = tuple[Row, Row]
@@ -29,3 +30,5 @@ class SiteMap(Document):
     has said where it lies."""
     placed_by: PlacedBy
     """What tells the placing."""
+    origin: Origin | None = None
+    """Of the site, as it was when a GeoTIFF was laid on Earth by it; null where the placing needs none."""

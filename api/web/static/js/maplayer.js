@@ -1,4 +1,5 @@
 // A site's picture from above, beneath a plan.
+import { h } from "./dom.js";
 
 /** A picture and its place: pixel (u, v), whose (0, 0) is the centre of the top-left one, is x = a u + b v + c, y = d u + e v + f in m. */
 export class MapLayer {
@@ -40,9 +41,11 @@ export class MapLayer {
  * Lay a map beneath a plan once it is loaded; the plan is drawn without it until then.
  * @param {import("./plan.js").Plan} plan
  * @param {string} address of the picture
- * @param {{map: {placing: number[][]|null}}|null} said what the service says of it
+ * @param {{map: {placing: number[][]|null}, note: string}|null} said what the service says of it; its note, if any, is shown below
  */
 export async function layMap(plan, address, said) {
+  plan.canvas.parentElement?.querySelector(".map-note")?.remove();
+  if (said?.note) plan.canvas.after(h("p.note.map-note", null, said.note));
   if (!said?.map.placing) return;
   plan.map = new MapLayer(await loadImage(address), said.map.placing);
   plan.redraw();

@@ -33,7 +33,7 @@ export class MapPicture {
     this.plan.redraw();
     const start = h("button.small", { type: "button", onclick: () => { this.clicked = []; fill(byId("map-help"), message("plain", "click two places in the picture whose distance you know", "The first becomes the world's origin, X points to the second.")); } }, "Place it by two points");
     fill(byId("map-help"), h("p", null, said.map.placing ? `${said.map.filename} is placed by ${{ points: "two points", "world file": "its world file", GeoTIFF: "what the file itself says" }[said.map.placed_by]}. Choose a point in the table, then click where it is in the picture.`
-      : `${said.map.filename} has no place yet: its scale is a guess. Choose its world file, or:`), h("div.row", null, start));
+      : said.note || `${said.map.filename} has no place yet: its scale is a guess. Choose its world file, or:`), h("div.row", null, start));
   }
 
   /** @param {HTMLInputElement} input */
