@@ -3,16 +3,13 @@
 from __future__ import annotations
 
 from datetime import datetime
-from typing import Annotated
 
 from pydantic import BaseModel, ConfigDict, Field, JsonValue
 
-from api.schemas import JobName, Tags
+from api.schemas import Id, JobName, Tags
 from api.times import to_time
 from wibam_core.documents.trained_model import ModelDocument
 from wibam_core.jobs.records import ModelState, StoredFile, TrainedModel
-
-Id = Annotated[str, Field(max_length=64)]
 
 
 class ModelOut(BaseModel):

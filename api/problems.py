@@ -11,7 +11,7 @@ from fastapi import FastAPI, Request
 from fastapi.encoders import jsonable_encoder
 from fastapi.exceptions import RequestValidationError
 from pydantic import BaseModel, ConfigDict, Field
-from sqlalchemy.exc import OperationalError
+from sqlalchemy.exc import DataError, OperationalError
 from starlette.exceptions import HTTPException
 from starlette.responses import JSONResponse
 from starlette.routing import Match
@@ -132,6 +132,7 @@ def add_handlers(app: FastAPI) -> None:
     app.add_exception_handler(RequestValidationError, _validation_error)
     app.add_exception_handler(HTTPException, _http_error)
     app.add_exception_handler(OperationalError, _database_error)
+    app.add_exception_handler(DataError, _data_error)
     app.add_exception_handler(Exception, _unexpected)
 
 
@@ -175,6 +176,13 @@ async def _http_error(request: Request, error: Exception) -> JSONResponse:
 
 async def _database_error(request: Request, error: Exception) -> JSONResponse:
     return database_problem(error)
+
+
+async def _data_error(request: Request, error: Exception) -> JSONResponse:
+    """PostgreSQL takes no NUL in a text and no number beyond its column's range; SQLite takes both."""
+    _log.warning("the database does not take a value of a request", exc_info=error)
+    hint = "Leave out control characters and numbers that are far too large."
+    return problem(InputError("a value of the request is none that can be stored or looked for", hint=hint))
 
 
 async def _unexpected(request: Request, error: Exception) -> JSONResponse:

@@ -100,6 +100,8 @@ class RecordingOut(BaseModel):
         )
 
 
+#: Of anything that the service made; none has other signs.
+Id = Annotated[str, Field(max_length=64, pattern=r"^[A-Za-z0-9_-]+$")]
 JobName = Annotated[str, Field(max_length=200, pattern=r"^[^\x00-\x1f\x7f]*$")]
 
 

@@ -13,14 +13,13 @@ from api.bodies import BoundedJsonRoute
 from api.paging import MadeDep, PageDep
 from api.parameters import ONLY_KNOWN_PARAMETERS
 from api.problems import documented
-from api.schemas import JobName
+from api.schemas import Id, JobName
 from api.services import ServicesDep
 from wibam_core.adapters.webhook_sending import check_url
 from wibam_core.jobs.webhooks import USUAL_EVENTS, Delivery, DeliveryState, Webhook, WebhookEvent
 
 router = APIRouter(prefix="/v1/webhooks", tags=["webhooks"], responses=documented(401), route_class=BoundedJsonRoute)
 Events = Annotated[list[WebhookEvent], Field(min_length=1, max_length=len(WebhookEvent))]
-Id = Annotated[str, Field(max_length=64)]
 
 
 class WebhookIn(BaseModel):
