@@ -3,7 +3,8 @@
 Run as a script, it imports next to nothing, so it costs a few milliseconds. Whatever it starts dies with the process
 that asked for it, even if that one is killed. Options: ``--nice N``, ``--offline`` (no network, where the system
 lets us), ``--expendable`` (the first to go when the machine runs out of memory), ``--limited`` (no core dumps, no
-endless file, no more privileges than it has), ``--program=PATH``, ``--read=PATH``, ``--list=PATH`` and ``--write=PATH``
+endless file, no more privileges than it has), ``--memory-gb N`` (GiB of its own, beyond which it is given none, where
+the system counts them), ``--program=PATH``, ``--read=PATH``, ``--list=PATH`` and ``--write=PATH``
 (each any number of times): of all files, the program may run, read, list and write those beneath these paths alone, and
 make files and folders, but no links; no process but its own children is within its reach, nor is a Unix socket
 (Landlock and seccomp, where the system has them). ``python confine.py --check-offline`` tells by its exit code whether
@@ -109,6 +110,13 @@ def _be_limited() -> None:
     _, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
     largest = _LARGEST_FILE_BYTES if hard == resource.RLIM_INFINITY else min(_LARGEST_FILE_BYTES, hard)
     resource.setrlimit(resource.RLIMIT_FSIZE, (largest, largest))
+
+
+def _bound_memory(most_gb: int) -> None:
+    """Address space that a process asks for itself; programs and libraries that are mapped from files do not count."""
+    _, hard = resource.getrlimit(resource.RLIMIT_DATA)
+    most = most_gb << 30 if hard == resource.RLIM_INFINITY else min(most_gb << 30, hard)
+    resource.setrlimit(resource.RLIMIT_DATA, (most, most))
 
 
 def _drop_privileges() -> None:
@@ -259,6 +267,8 @@ def main(arguments: list[str]) -> None:
         _be_expendable()
     if "--limited" in options:
         _be_limited()
+    if "--memory-gb" in options:
+        _bound_memory(int(options[options.index("--memory-gb") + 1]))
     if "--offline" in options:
         go_offline()  # before the parent-death signal: gaining a user namespace would clear it
     if "--limited" in options:

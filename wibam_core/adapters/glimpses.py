@@ -24,6 +24,10 @@ _INHERITED = ("PATH", "LANG", "LC_ALL", "TZ", "LD_LIBRARY_PATH", "VIRTUAL_ENV")
 #: Who looks at a network imports torch first, which takes seconds, on a busy machine many.
 _SLOWER_TO_START = 4
 
+#: GiB that a look may ask for. A picture of `map_pictures.MOST_PIXELS` takes up to 1.8. Those that run networks ask for
+#: more than they use.
+_MEMORY_GB = {"map": 4, "calibration": 4}
+
 
 class ComparisonInputs(BaseModel):
     """What two networks are compared by (`wibam_core.evaluation.comparison`).
@@ -140,13 +144,14 @@ class Glimpses:
         if not self._places.acquire(timeout=self._patience_s / 2):
             raise ServiceUnavailable("the service looks into other recordings", hint="Try again in a moment.")
         patience_s = self._patience_s * (_SLOWER_TO_START if request.look == "network" else 1)
+        program = [sys.executable, "-P", "-m", "wibam_core.adapters.glimpse", request.model_dump_json()]
         try:
             done = subprocess.run(
-                _command(request),
+                confined(request, program),
                 input=given,
                 capture_output=True,
                 timeout=patience_s,
-                env=_environment(),
+                env=_environment(request),
                 check=False,
             )
         except subprocess.TimeoutExpired as error:
@@ -178,18 +183,22 @@ class Glimpses:
         return answer["header"], rest
 
 
-def _command(request: GlimpseRequest) -> list[str]:
+def confined(request: GlimpseRequest, program: list[str]) -> list[str]:
+    """A command that runs a program with no more rights than a look needs."""
     shim = [sys.executable, "-I", "-S", confine.__file__, "--parent", str(os.getpid()), "--nice", "5"]
-    program = [sys.executable, "-P", "-m", "wibam_core.adapters.glimpse", request.model_dump_json()]
     reads = [*system_files(), *(f"--read={path.resolve()}" for path in request.reads)]
-    return [*shim, "--offline", "--expendable", "--limited", *reads, "--", *program]
+    memory = ["--memory-gb", str(_MEMORY_GB[request.look])] if request.look in _MEMORY_GB else []
+    return [*shim, "--offline", "--expendable", "--limited", *memory, *reads, "--", *program]
 
 
-def _environment() -> dict[str, str]:
+def _environment(request: GlimpseRequest) -> dict[str, str]:
     """Without our secrets."""
+    # OpenBLAS asks for memory for each core beforehand
+    few_threads = {"OPENBLAS_NUM_THREADS": "1"} if request.look in _MEMORY_GB else {}
     kept = {name: os.environ[name] for name in _INHERITED if name in os.environ}
     return {
         **kept,
+        **few_threads,
         "PYTHONPATH": str(Path(wibam_core.__file__).resolve().parent.parent),
         "PYTHONDONTWRITEBYTECODE": "1",
     }

@@ -65,7 +65,7 @@ def read_map_picture(path: Path, longest_px: int) -> MapPicture:
             tags: Tags = dict(getattr(picture, "tag_v2", {}))
             if picture.format == "JPEG":
                 picture.draft("RGB", (longest_px, longest_px))  # decodes at a fraction of the size where that is enough
-            image = np.asarray(_small(_eight_bits(picture), longest_px).convert("RGB"))
+            image = np.asarray(_small_rgb(picture, longest_px))
     except (OSError, SyntaxError, ValueError, EOFError, MemoryError) as error:
         raise InputError(
             "the file is no picture that can be read here",
@@ -115,16 +115,24 @@ def shrunk(affine: Affine, times_u: float, times_v: float) -> Affine:
     return affine @ to_large
 
 
-def _eight_bits(picture: Pillow.Image) -> Pillow.Image:
-    """Pictures with 16 bits a channel are spread over what they use of them."""
+def _small_rgb(picture: Pillow.Image, longest_px: int) -> Pillow.Image:
+    """Made small before anything else: what follows takes several times the memory of what it works on."""
     if picture.mode.startswith("I") or picture.mode == "F":
-        values = np.asarray(picture, dtype=np.float64)
-        low, high = np.nanpercentile(values, (0.5, 99.5))
-        return Pillow.fromarray(np.clip((values - low) / max(high - low, 1e-9) * 255, 0, 255).astype(np.uint8))
+        return _spread(np.asarray(_small(picture.convert("F"), longest_px))).convert("RGB")
     if "A" in picture.mode or "transparency" in picture.info:
-        over = picture.convert("RGBA")
-        return Pillow.alpha_composite(Pillow.new("RGBA", over.size, "white"), over)
-    return picture.convert("RGB")
+        over = _small(_as(picture, "RGBA"), longest_px)
+        return Pillow.alpha_composite(Pillow.new("RGBA", over.size, "white"), over).convert("RGB")
+    return _as(_small(picture if picture.mode == "L" else _as(picture, "RGB"), longest_px), "RGB")
+
+
+def _spread(values: NDArray[np.float32]) -> Pillow.Image:
+    """Values (H, W), such as those of 16 bits, over the 8 bits of what they use of them."""
+    low, high = np.nanpercentile(values, (0.5, 99.5))
+    return Pillow.fromarray(np.clip((values - low) / max(high - low, 1e-9) * 255, 0, 255).astype(np.uint8))
+
+
+def _as(picture: Pillow.Image, mode: str) -> Pillow.Image:
+    return picture if picture.mode == mode else picture.convert(mode)
 
 
 def _small(picture: Pillow.Image, longest_px: int) -> Pillow.Image:

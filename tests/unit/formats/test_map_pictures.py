@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import struct
+import tracemalloc
 import zlib
 from pathlib import Path
 
@@ -84,6 +85,24 @@ def test_what_is_no_picture_or_too_large_is_refused(tmp_path: Path) -> None:
     (tmp_path / "bomb.png").write_bytes(b"\x89PNG\r\n\x1a\n" + chunk + b"\0\0\0\0IDAT")
     with pytest.raises(TooLarge, match="200000 x 200000 pixels"):
         read_map_picture(tmp_path / "bomb.png", 100)
+
+
+def test_deep_pictures_are_made_small_before_they_are_spread(tmp_path: Path) -> None:
+    """Of 4 megapixels, 8 bytes each would be 32 MB, and some copies of them."""
+    ramp = np.tile(np.linspace(1000, 3000, 2000).astype(np.uint16), (2000, 1))
+    Image.fromarray(ramp).save(tmp_path / "deep.png", compress_level=1)
+    tracemalloc.start()
+    image = read_map_picture(tmp_path / "deep.png", 100).image
+    peak = tracemalloc.get_traced_memory()[1]
+    tracemalloc.stop()
+    assert peak < 16e6
+    assert image.shape == (100, 100, 3) and image[50, 0, 0] < 5 and image[50, -1, 0] > 250
+    assert image[50, 50, 0] == pytest.approx(128, abs=4)
+
+
+def test_what_can_be_seen_through_lies_on_white(tmp_path: Path) -> None:
+    Image.new("RGBA", (40, 40), (200, 0, 0, 0)).save(tmp_path / "clear.png")
+    np.testing.assert_array_equal(read_map_picture(tmp_path / "clear.png", 10).image, 255)
 
 
 def test_a_world_file_places_the_centres_of_pixels() -> None:

@@ -1,0 +1,27 @@
+"""Short looks into uploaded files: what their processes are held to, and what is said where one takes too long."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from wibam_core.adapters.glimpses import GlimpseRequest, confined
+
+PRINT_LIMIT = "import resource; print(*resource.getrlimit(resource.RLIMIT_DATA))"
+
+
+@pytest.mark.parametrize(("look", "most"), [("map", "4294967296"), ("calibration", "4294967296"), ("network", None)])
+def test_looks_that_run_no_network_have_only_so_much_memory(look: str, most: str | None, tmp_path: Path) -> None:
+    own = subprocess.run([sys.executable, "-c", PRINT_LIMIT], capture_output=True, text=True, check=True).stdout
+    request = GlimpseRequest.model_validate({"look": look, "path": tmp_path})
+    program = confined(request, [sys.executable, "-c", PRINT_LIMIT])
+    held = subprocess.run(program, capture_output=True, text=True, check=True).stdout
+    assert held.split() == ([most, most] if most else own.split())
+
+
+def test_a_look_at_a_map_is_refused_memory_beyond_that(tmp_path: Path) -> None:
+    program = confined(GlimpseRequest(look="map", path=tmp_path), [sys.executable, "-c", "bytearray(5 << 30)"])
+    assert "MemoryError" in subprocess.run(program, capture_output=True, text=True, check=False).stderr
