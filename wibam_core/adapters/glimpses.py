@@ -1,4 +1,4 @@
-"""Short looks into uploaded recordings, each in a confined process of its own (`wibam_core.adapters.glimpse`)."""
+"""Short looks into uploaded files, each in a confined process of its own (`wibam_core.adapters.glimpse`)."""
 
 from __future__ import annotations
 
@@ -21,8 +21,22 @@ from wibam_core.site import Origin, SignalRegion, SiteCamera
 
 _INHERITED = ("PATH", "LANG", "LC_ALL", "TZ", "LD_LIBRARY_PATH", "VIRTUAL_ENV")
 
-#: Who looks at a network imports torch first, which takes seconds, on a busy machine many.
-_SLOWER_TO_START = 4
+Look = Literal["header", "frame", "signals", "network", "map", "comparison", "calibration"]
+
+#: Looks that are given so many times as long. Who looks at a network imports torch first, which takes seconds, on a
+#: busy machine many; who compares two goes through all that they found.
+_SLOWER, _TIMES_SLOWER = ("network", "comparison"), 4
+
+#: What to do where a look takes too long.
+_TOO_SLOW: dict[Look, str] = {
+    "header": "Try again later.",
+    "frame": "Try again later.",
+    "signals": "Ask for a shorter stretch.",
+    "network": "Try again later.",
+    "map": "Send a smaller picture, of the intersection alone.",
+    "comparison": "Try again later.",
+    "calibration": "Send those of one camera alone.",
+}
 
 #: GiB that a look may ask for. A picture of `map_pictures.MOST_PIXELS` takes up to 1.8. Those that run networks ask for
 #: more than they use.
@@ -100,7 +114,7 @@ class GlimpseRequest(BaseModel):
 
     model_config = ConfigDict(extra="forbid", frozen=True)
 
-    look: Literal["header", "frame", "signals", "network", "map", "comparison", "calibration"]
+    look: Look
     path: Path | None = None
     start_ns: int = 0
     duration_ns: int = 0
@@ -143,7 +157,7 @@ class Glimpses:
         """
         if not self._places.acquire(timeout=self._patience_s / 2):
             raise ServiceUnavailable("the service looks into other recordings", hint="Try again in a moment.")
-        patience_s = self._patience_s * (_SLOWER_TO_START if request.look == "network" else 1)
+        patience_s = self._patience_s * (_TIMES_SLOWER if request.look in _SLOWER else 1)
         program = [sys.executable, "-P", "-m", "wibam_core.adapters.glimpse", request.model_dump_json()]
         try:
             done = subprocess.run(
@@ -155,8 +169,11 @@ class Glimpses:
                 check=False,
             )
         except subprocess.TimeoutExpired as error:
-            hint = "Try again later." if request.look == "network" else "Ask for a shorter stretch."
-            raise ServiceUnavailable(f"the file was not read within {patience_s:g} s", hint=hint) from error
+            late = {
+                "calibration": "the files were not read",
+                "comparison": "the two networks were not compared",
+            }.get(request.look, "the file was not read")
+            raise ServiceUnavailable(f"{late} within {patience_s:g} s", hint=_TOO_SLOW[request.look]) from error
         finally:
             self._places.release()
         head, _, rest = done.stdout.partition(b"\n")
