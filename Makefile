@@ -25,7 +25,7 @@ $(READY): pyproject.toml constraints.txt
 
 setup: $(READY) ## make the virtual environment and install everything into it
 
-demo: $(READY) ## record a simulated intersection, upload it, fine-tune on it and show what came out (about 7 minutes)
+demo: $(READY) ## record a simulated intersection, upload it, fine-tune on it and show what came out (about 6 minutes)
 	$(BIN)/wibam demo --out build/demo
 
 serve: $(READY) ## keep the service up for your own footage, on this machine alone
