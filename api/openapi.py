@@ -34,7 +34,9 @@ def _document(app: FastAPI) -> dict[str, Any]:
     components["schemas"]["Problem"] = Problem.model_json_schema()
     for unused in ("HTTPValidationError", "ValidationError"):
         components["schemas"].pop(unused, None)
-    for schema in components["schemas"].values():
+    for name, schema in components["schemas"].items():
+        if schema.get("title") == name:
+            del schema["title"]
         for one in schema.get("properties", {}).values():
             _without_title(one)
     for name, example in EXAMPLES.items():
