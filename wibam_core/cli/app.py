@@ -11,10 +11,12 @@ import importlib
 from collections.abc import Mapping
 from pathlib import Path
 from types import MappingProxyType
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 from typer.core import TyperCommand, TyperGroup
+
+from wibam_core import __version__
 
 if TYPE_CHECKING:
     from typer._click.core import Command, Context
@@ -83,6 +85,16 @@ app = typer.Typer(
 )
 
 
+def _say_version(asked_for: bool) -> None:
+    if asked_for:
+        typer.echo(f"wibam {__version__}")
+        raise typer.Exit
+
+
 @app.callback()
-def wibam() -> None:
+def wibam(
+    version: Annotated[
+        bool, typer.Option("--version", callback=_say_version, is_eager=True, help="Say which version this is, and end.")
+    ] = False,
+) -> None:
     """Fine-tune a monocular 3D vehicle detector for your intersection, without hand labels."""
