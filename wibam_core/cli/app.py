@@ -94,7 +94,7 @@ def _say_version(asked_for: bool) -> None:
 @app.callback()
 def wibam(
     version: Annotated[
-        bool, typer.Option("--version", callback=_say_version, is_eager=True, help="Say which version this is, and end.")
+        bool, typer.Option("--version", callback=_say_version, is_eager=True, help="Say which version this is.")
     ] = False,
 ) -> None:
     """Fine-tune a monocular 3D vehicle detector for your intersection, without hand labels."""
