@@ -78,6 +78,11 @@ class VideoInfo(Document):
     """Frames whose stamp is stray, missing or another frame's, and which nothing can be done with."""
     stray_frames: int = 0
     """Those of them whose stamp is far from those around."""
+    smeared_frames: int = 0
+    """Frames after ones that were lost on the way, up to the next that is whole by itself: they show things where they
+    were before. Known of H.264 and of MPEG transport streams."""
+    unread_share: float = 0.0
+    """Share of a file that lies in tracks or recordings of their own, before or behind the one that is read."""
     hidden_frames: int = 0
     """Frames that the file itself says are not to be shown (edit list)."""
     stretches: int = 1

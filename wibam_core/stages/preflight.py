@@ -101,7 +101,14 @@ def _check_size(camera: SiteCamera, info: VideoInfo) -> None:
         return
     turned = f" once turned by {info.rotation_deg}°, as it is shown" if info.rotation_deg else ""
     if abs(info.pixel_aspect - 1) > 0.01:
-        turned += f" (its pixels are {info.pixel_aspect:.3f} times as wide as high)"
+        wide, high = (
+            (info.width_px * info.pixel_aspect, info.height_px)
+            if info.rotation_deg % 180 == 0
+            else (info.width_px, info.height_px * info.pixel_aspect)
+        )
+        turned += (
+            f" (its pixels are {info.pixel_aspect:.3f} times as wide as high: players show {wide:.0f}x{high:.0f} px)"
+        )
     raise InputError(
         f"the recording of camera {camera.id} is {info.width_px}x{info.height_px} px{turned}, but the site says "
         f"{camera.width_px}x{camera.height_px} px",

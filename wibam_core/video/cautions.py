@@ -40,11 +40,12 @@ def _of_frames(info: VideoInfo) -> Iterator[Caution]:
             details={"missing_s": info.missing_s},
         )
     if info.missing_files:
+        there, which = ("it is", "it") if len(info.missing_files) == 1 else ("they are", "them")
         names = ", ".join(info.missing_files[:_NAMED]) + (" and others" if len(info.missing_files) > _NAMED else "")
         yield Caution(
             code="chapter_missing",
-            message=f"{names} should lie between the files, or before them, and is not there",
-            hint="Upload it with the others; until then nothing is seen by this camera meanwhile.",
+            message=f"{names} should lie between the files, or before them: {there} not there",
+            hint=f"Upload {which} with the others; until then nothing is seen by this camera meanwhile.",
             details={"files": list(info.missing_files)},
         )
     if info.stray_frames:
@@ -59,10 +60,29 @@ def _of_frames(info: VideoInfo) -> Iterator[Caution]:
     if share > _UNUSED_SHARE:
         yield Caution(
             code="frames_unused",
-            message=f"{info.unused_frames} frames, {share:.0%} of the recording, have no time stamp of their own and "
-            "are left out",
+            message=f"{info.unused_frames} frames, {share:.0%} of the recording, have no time stamp of their own, or "
+            "are not in its codec, and are left out",
             hint="Copy the file from the camera again, or export it anew with its time stamps.",
             details={"frames": info.unused_frames, "share": share},
+        )
+    if info.smeared_frames > _UNUSED_SHARE * info.frames:
+        share = info.smeared_frames / info.frames
+        yield Caution(
+            code="frames_smeared",
+            message=f"{info.smeared_frames} frames, {share:.0%} of the recording, follow frames that were lost on the "
+            "way, and show parts of the picture where they were before",
+            hint="Record on the camera's own card, or over a connection that loses nothing: things that move are "
+            "placed wrongly there.",
+            details={"frames": info.smeared_frames, "share": share},
+        )
+    if info.unread_share > _UNUSED_SHARE:
+        yield Caution(
+            code="part_unread",
+            message=f"{info.unread_share:.0%} of a file is not used: before or behind what is read lies another "
+            "recording, or another track that goes on with it",
+            hint="Files were joined byte by byte, or the recorder began anew within one: give the parts as files of "
+            "their own.",
+            details={"share": info.unread_share},
         )
     for frames, code, what in (
         (info.hidden_frames, "frames_hidden", "are hidden by the file's edit list, as players hide them"),
@@ -95,10 +115,13 @@ def _of_time(info: VideoInfo) -> Iterator[Caution]:
         )
     unknown = [segment for segment in info.segments if segment.placed_by == "assumed"]
     if unknown:
+        assumed = "no time was assumed to have passed"
+        if info.missing_files:
+            assumed = "what is missing was assumed to last as long as the file before it"
         yield Caution(
             code="gap_unknown",
-            message=f"its clock starts anew {_at(unknown)}; how long the camera was off there is unknown, and no time "
-            "was assumed to have passed",
+            message=f"its clock starts anew {_at(unknown)}; how long the camera was off there is unknown, "
+            f"and {assumed}",
             hint="Check the synchronisation after that moment, or upload the parts as files with their times.",
             details={"at_s": [segment.first_ns / 1e9 for segment in unknown]},
         )

@@ -10,7 +10,8 @@ import struct
 from collections.abc import Iterator
 from pathlib import Path
 
-_Box = tuple[bytes, int, int]
+from wibam_core.video.joined import Box, top_level
+
 #: Indices of the longest recordings are smaller.
 _MAX_INDEX = 1 << 28
 _MAX_EDITS = 10_000
@@ -31,27 +32,15 @@ def shown_stretches(path: Path) -> int:
 
 def _index(path: Path) -> bytes:
     """What the file's ``moov`` box holds; nothing where there is none."""
-    size = path.stat().st_size
     with path.open("rb") as file:
-        at = 0
-        while at + 8 <= size:
-            file.seek(at)
-            head = file.read(16)
-            length, kind = struct.unpack(">I4s", head[:8])
-            start = 8
-            if length == 1:
-                length, start = struct.unpack(">Q", head[8:16])[0], 16
-            length = length or size - at
-            if length < start:
-                break
+        for kind, start, end in top_level(file, path.stat().st_size):
             if kind == b"moov":
-                file.seek(at + start)
-                return file.read(min(length - start, _MAX_INDEX))
-            at += length
+                file.seek(start)
+                return file.read(min(end - start, _MAX_INDEX))
     return b""
 
 
-def _boxes(data: bytes, start: int, end: int) -> Iterator[_Box]:
+def _boxes(data: bytes, start: int, end: int) -> Iterator[Box]:
     """Kind, beginning and end of what each box between two places holds."""
     while start + 8 <= end:
         length, kind = struct.unpack(">I4s", data[start : start + 8])

@@ -6,8 +6,8 @@ import re
 from collections.abc import Iterator
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
-from datetime import UTC, datetime
 from fractions import Fraction
+from pathlib import Path
 
 import av
 import numpy as np
@@ -19,10 +19,13 @@ from numpy.typing import NDArray
 
 from wibam_core.errors import UnreadableVideo
 from wibam_core.video.edits import shown_stretches
+from wibam_core.video.h264 import H264Packets
+from wibam_core.video.joined import joined_at
 from wibam_core.video.picture import Orientation, Size
 from wibam_core.video.recording import RecordingFile
 from wibam_core.video.source import ns_from_pts, open_video, video_streams
 from wibam_core.video.stamps import unwrapped_ns
+from wibam_core.video.tags import captured_fps, created_ns, timecode_ns
 
 IntArray = NDArray[np.int64]
 
@@ -35,10 +38,16 @@ _LEAD_IN_NS = 10 * 10**9
 #: Counters of MPEG transport and program streams have 33 bits at 90 kHz (ISO/IEC 13818-1).
 _MPEG_PERIOD_NS = 2**33 / 90_000 * 1e9
 #: Containers with a place in decoding order for each frame, and no stamp that says when it is shown.
-_BY_DECODING_ORDER = ("avi", "h264", "hevc")
-_NO_CLOCK = ("h264", "hevc")
+_NO_CLOCK = ("h264", "hevc", "m4v", "mpegvideo", "mjpeg")
+_BY_DECODING_ORDER = ("avi", *_NO_CLOCK)
 #: Containers whose header says when the recording ends, and not how many frames it has.
 _SAYING = ("matroska", "flv", "asf")
+#: Containers in which a recorder may begin a new track midway, and whose packets fill the file but for a few bytes.
+_READ_IN_PART = ("mpegts", "mpeg")
+#: Headers of a packet lie within its first bytes.
+_BEGINNING = 16_384
+#: After the last packet that is read, and before the first, may lie what so many packets take.
+_FEW_PACKETS = 8
 #: Sequence headers within a packet: MPEG-1 and 2 (size only), H.264 and H.265 parameter sets behind a start code, and
 #: the start of frame of JPEG.
 _HEADER = re.compile(
@@ -46,7 +55,6 @@ _HEADER = re.compile(
     re.DOTALL,
 )
 _HEADER_WITHIN = 1024
-_TIMECODE = re.compile(r"(\d{2}):(\d{2}):(\d{2})([:;.])(\d{2})")
 
 
 @dataclass(frozen=True)
@@ -91,7 +99,10 @@ class FilePackets:
         hidden: frames that the file itself says are not to be shown (edit list).
         lead_in, lead_in_ns: (L,) numbers and stamps of frames before the first key frame, which do not decode unless
             the decoder has read what was before; not among ``numbers``.
-        unstamped: frames without a (sane) stamp.
+        unstamped: frames without a (sane) stamp, or that are none of the stream's codec.
+        smeared: frames after lost ones, up to the next that is whole by itself.
+        unread_share: share of the file's bytes that lie before or behind all that is read, in tracks or recordings of
+            their own; 0 where that is not known.
         missing: frames that the file's index names and that are not there.
         stretches: how many of it are shown one after the other (edit list).
         said_ns: when its header says that it ends, on its own clock; None where it does not say, or is not to be asked.
@@ -116,6 +127,8 @@ class FilePackets:
     lead_in: IntArray
     lead_in_ns: IntArray
     unstamped: int
+    smeared: int
+    unread_share: float
     missing: int
     stretches: int
     said_ns: int | None
@@ -168,7 +181,7 @@ def read_packets(file: RecordingFile, *, look: bool) -> FilePackets:
         stamps = np.array(reader.stamps, dtype=np.int64)
         if name in _NO_CLOCK:
             rate = stream.guessed_rate or stream.average_rate or Fraction(25)
-            stamps = np.rint(numbers * (1e9 / float(rate))).astype(np.int64)
+            stamps = np.rint(np.arange(len(numbers)) * (1e9 / float(rate))).astype(np.int64)
         elif name in ("mpegts", "mpeg") and len(stamps):
             stamps = unwrapped_ns(stamps, _MPEG_PERIOD_NS)
         if name == "mov":
@@ -176,6 +189,9 @@ def read_packets(file: RecordingFile, *, look: bool) -> FilePackets:
             missing = sum(entry.pos >= size for entry in stream.index_entries)
             # FFmpeg passes over what an edit list hides, but for what must be decoded to show the rest
             reader.hidden += max(stream.frames - reader.packets - missing, 0)
+        elif name == "avi" and len(stamps) and stream.time_base:
+            # it counts frames that show once more what was before, too, which have no bytes
+            missing = max(stream.frames - 1 - round(stamps.max() / (1e9 * stream.time_base)), 0)
         else:
             missing = max(stream.frames - reader.packets, 0)
         return FilePackets(
@@ -191,15 +207,17 @@ def read_packets(file: RecordingFile, *, look: bool) -> FilePackets:
             lead_in=numbers[: reader.lead_in],
             lead_in_ns=stamps[: reader.lead_in],
             unstamped=reader.unstamped,
+            smeared=reader.smeared,
+            unread_share=reader.unread_share(file.path, name),
             missing=missing,
             stretches=shown_stretches(file.path) if name == "mov" else 1,
             said_ns=container.duration * 1000 if name in _SAYING and container.duration else None,
-            captured_fps=_captured_fps(container, stream),
+            captured_fps=captured_fps(container, stream),
             has_clock=name not in _NO_CLOCK,
             looks=looks,
             tracks=len(video_streams(container)),
-            created_ns=_created_ns(container, stream),
-            timecode_ns=_timecode_ns(container, stream),
+            created_ns=created_ns(container, stream),
+            timecode_ns=timecode_ns(container, stream),
             extradata=bytes(stream.codec_context.extradata or b""),
         )
 
@@ -213,7 +231,12 @@ class _Reader:
         self.numbers: list[int] = []
         self.stamps: list[int] = []
         self.looks: dict[int, Look] = {}
-        self.packets = self.hidden = self.lead_in = self.unstamped = 0
+        self.packets = self.hidden = self.lead_in = self.unstamped = self.smeared = 0
+        self._first_byte = self._last_byte = 0
+        self._is_broken = False
+        self._stamps_of_none: list[int | None] = []
+        codec = stream.codec_context
+        self._h264 = H264Packets(bytes(codec.extradata or b"")) if codec.name == "h264" else None
         expected = stream.frames or int(float(container.duration or 0) / 1e6 * float(stream.average_rate or 25))
         self._apart = max(expected // _LOOKED_AT, _LEAST_APART)
 
@@ -222,6 +245,9 @@ class _Reader:
         headers: set[bytes] = set()
         for number, packet in numbered(self._container, self._stream):
             self.packets = number + 1
+            self._note_place(packet)
+            if not self._begins_a_frame(packet):
+                continue
             if packet.is_keyframe and lead_in is None:
                 lead_in = len(self.numbers)
             if packet.is_discard:
@@ -235,9 +261,43 @@ class _Reader:
                 headers.add(_header(packet))
                 if self._look_at(number, packet):
                     look_at = number + self._apart
+        # what decoders are told beside pictures has the stamps of these
+        self.unstamped += len({stamp for stamp in self._stamps_of_none if stamp is not None}.difference(self.stamps))
         # a stream that never has a whole picture is decoded from wherever it begins
         if lead_in and self.stamps[lead_in - 1] - self.stamps[0] <= _LEAD_IN_NS:
             self.lead_in = lead_in
+
+    def unread_share(self, path: Path, container: str) -> float:
+        """Share of the file's bytes that lie in recordings or tracks before or behind what was read."""
+        size = path.stat().st_size
+        if (end := joined_at(path, container)) is not None:
+            return 1.0 - end / size
+        if container not in _READ_IN_PART or not self._last_byte:
+            return 0.0
+        unread = max(self._first_byte, size - self._last_byte)
+        return unread / size if unread * self.packets > _FEW_PACKETS * size else 0.0
+
+    def _note_place(self, packet: Packet) -> None:
+        if packet.pos is not None and packet.pos >= 0:
+            self._first_byte = self._first_byte if self._last_byte else packet.pos
+            self._last_byte = max(self._last_byte, packet.pos + packet.size)
+
+    def _begins_a_frame(self, packet: Packet) -> bool:
+        """Whether a packet holds a frame, and not only the second field of one or what decoders are told beside them.
+
+        Those that are smeared are counted, and the stamps of what is no picture are kept.
+        """
+        if self._h264 is None:
+            self._is_broken = (self._is_broken and not packet.is_keyframe) or packet.is_corrupt
+            self.smeared += self._is_broken
+            return True
+        self._h264.read(bytes(memoryview(packet)[:_BEGINNING]), is_key=packet.is_keyframe)
+        if not self._h264.is_picture:
+            self._stamps_of_none.append(self._stamp_ns(packet))
+        elif not self._h264.is_second_field:
+            self.smeared += self._h264.is_smeared
+            return True
+        return False
 
     def _stamp_ns(self, packet: Packet) -> int | None:
         if self._no_clock:
@@ -299,42 +359,3 @@ def _first_look(file: RecordingFile) -> dict[int, Look]:
             for frame in stream.decode(None):
                 return {0: look_of(frame, stream)}
     raise UnreadableVideo(f"{file.name} has a video stream, but not one frame of it can be decoded")
-
-
-def _created_ns(container: InputContainer, stream: VideoStream) -> int | None:
-    for metadata in (stream.metadata, container.metadata):
-        with suppress(ValueError):
-            time = datetime.fromisoformat(metadata.get("creation_time", ""))
-            time = time if time.tzinfo else time.replace(tzinfo=UTC)
-            if time.year > 1980:  # 1904 and 1970 are clocks that were never set
-                return round(time.timestamp() * 1e6) * 1000
-    return None
-
-
-def _captured_fps(container: InputContainer, stream: VideoStream) -> float | None:
-    """What Android's cameras write: of slow motion another rate than that of the stamps."""
-    said = {key.lower(): value for key, value in (*container.metadata.items(), *stream.metadata.items())}
-    with suppress(ValueError):
-        rate = float(said.get("com.android.capture.fps", "nan"))
-        return rate if np.isfinite(rate) and rate > 0 else None
-    return None
-
-
-def _timecode_ns(container: InputContainer, stream: VideoStream) -> int | None:
-    """Of the timecode track (``tmcd``): hours, minutes, seconds and frames, counted at the whole rate.
-
-    At 29.97 frames a second a counter without dropped numbers runs slow, so that frames are counted, not seconds;
-    one with them (";") leaves out two numbers a minute, but every tenth (SMPTE ST 12-1).
-    """
-    every = [stream.metadata, container.metadata, *(other.metadata for other in container.streams)]
-    found = next((match for m in every if (match := _TIMECODE.fullmatch(m.get("timecode", "")))), None)
-    rate = stream.average_rate or stream.guessed_rate
-    if found is None or not rate:
-        return None
-    hours, minutes, seconds, frames = (int(found[group]) for group in (1, 2, 3, 5))
-    whole = round(rate)
-    minutes += 60 * hours
-    count = (60 * minutes + seconds) * whole + frames
-    if found[4] != ":":
-        count -= round(whole / 15) * (minutes - minutes // 10)
-    return round(count / Fraction(rate) * 1_000_000_000)

@@ -23,6 +23,8 @@ _MAX_HOURS = 48
 _SLOWEST_HZ, _FASTEST_HZ = 0.5, 1000.0
 #: Pictures whose aspect ratios differ by more than this share show different things.
 _ASPECT_TOLERANCE = 0.01
+#: Programs round the width of stretched pictures differently, to even numbers or multiples of four, px.
+_STRETCHED_WITHIN_PX = 4
 
 
 def probe(recording: Path | Recording) -> VideoInfo:
@@ -85,6 +87,8 @@ def measure(recording: Path | Recording, size_px: Size | None = None) -> tuple[V
         doubled_frames=timeline.doubled,
         unused_frames=timeline.unused,
         stray_frames=timeline.stray,
+        smeared_frames=sum(file.packets.smeared for file in timeline.files),
+        unread_share=max(file.packets.unread_share for file in timeline.files),
         hidden_frames=sum(file.packets.hidden for file in timeline.files),
         stretches=max(file.packets.stretches for file in timeline.files),
         lead_in_frames=len(packets.lead_in),
@@ -129,7 +133,7 @@ def _one_size(looks: list[tuple[int, Look]], wanted_px: Size | None, name: str) 
     """
     first = looks[0][1].upright_px
     chosen = first
-    if wanted_px is not None and any(wanted_px in (look.upright_px, look.square_px) for _, look in looks):
+    if wanted_px is not None and any(_is_shown_at(look, wanted_px) for _, look in looks):
         chosen = wanted_px
     changes: list[SizeChange] = []
     for (_, before), (time_ns, look) in pairwise([looks[0], *looks]):
@@ -140,9 +144,19 @@ def _one_size(looks: list[tuple[int, Look]], wanted_px: Size | None, name: str) 
             raise UnreadableVideo(
                 f"the picture of {name} changes from {first[0]}x{first[1]} to {width}x{height} px at "
                 f"{time_ns / 1e9:.1f} s, which is another shape",
-                hint="Cut the recording there and use one part, or let the camera record at one size.",
+                hint="Cut the recording there and use one part, or let the camera record at one size; of several "
+                "files leave out those of the other size.",
             )
     return chosen, changes
+
+
+def _is_shown_at(look: Look, size_px: Size) -> bool:
+    """Whether pictures are of a size as stored, or as players show them where pixels are not square."""
+    if size_px == look.upright_px or look.square_px == look.upright_px:
+        return size_px == look.upright_px
+    apart = [abs(one - other) for one, other in zip(size_px, look.square_px, strict=True)]
+    stretched = [one != other for one, other in zip(look.square_px, look.upright_px, strict=True)]
+    return all(off <= (_STRETCHED_WITHIN_PX if is_wider else 0) for off, is_wider in zip(apart, stretched, strict=True))
 
 
 def _same_shape(one: Size, other: Size) -> bool:

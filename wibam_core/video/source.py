@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import codecs
 from collections.abc import Iterator
 from contextlib import contextmanager
 from fractions import Fraction
@@ -16,22 +17,13 @@ from wibam_core.errors import UnreadableVideo
 #: Demuxers that may read an upload. Play lists and image sequences, which open other files, are not among them.
 FORMATS = (
     *("mov", "mp4", "m4a", "3gp", "3g2", "mj2", "matroska", "webm", "avi", "mpegts", "mpeg", "flv", "asf", "ogg"),
-    *("h264", "hevc"),
+    *("h264", "hevc", "mjpeg", "mpegvideo", "m4v", "dhav", "mxf", "dv", "ivf"),
 )
 #: Decoders that may read an upload, by the name of the decoder.
 CODECS = (
-    "h264",
-    "hevc",
-    "mpeg4",
-    "mpeg2video",
-    "mpeg1video",
-    "mjpeg",
-    "vp8",
-    "vp9",
-    "libdav1d",
-    "av1",
-    "prores",
-    "dnxhd",
+    *("h264", "hevc", "libdav1d", "av1", "vp8", "vp9", "mpeg4", "mpeg2video", "mpeg1video", "mjpeg"),
+    *("prores", "dnxhd", "cfhd", "dvvideo", "wmv1", "wmv2", "wmv3", "vc1", "msmpeg4v1", "msmpeg4v2", "msmpeg4"),
+    *("h263", "flv", "theora", "ffv1", "huffyuv", "ffvhuff", "utvideo", "magicyuv", "rawvideo"),
 )
 #: Largest frame, px: 8K and some more.
 MAX_PIXELS = 40_000_000
@@ -41,6 +33,13 @@ ACCURATE = 0x2 | 0x2000 | 0x40000
 ACCURATE_BY_AREA = 0x20 | 0x2000 | 0x40000
 
 _NS_PER_S = 1_000_000_000
+#: So much of a file shows what it is instead of a video.
+_HEAD = 4096
+_UNPACK = "Unpack it and upload the recording in it."
+_NO_PICTURES = "Make one video file of the pictures, with the time of each."
+_WHERE = "Get the recording again from where it came, and look whether it plays."
+_PIECE = "a piece from the middle of an MP4 stream, without its beginning"
+_JOIN = "Put the stream's first piece (often called init) and all others in order into one file."
 _NO_RECORDING = (
     av.stream.Disposition.attached_pic | av.stream.Disposition.timed_thumbnails | av.stream.Disposition.still_image
 )
@@ -125,13 +124,47 @@ def _video_stream(container: InputContainer, name: str) -> VideoStream:
     return stream
 
 
+#: What other files begin with: bytes, from which place on, and what the file is.
+_OTHERS = (
+    (0, b"PK\x03\x04", "a ZIP archive", _UNPACK),
+    (0, b"Rar!", "a RAR archive", _UNPACK),
+    (0, b"7z\xbc\xaf", "a 7z archive", _UNPACK),
+    (0, b"\x1f\x8b", "a compressed file (gzip)", _UNPACK),
+    (0, b"\xff\xd8\xff", "a single picture (JPEG)", _NO_PICTURES),
+    (0, b"\x89PNG", "a single picture (PNG)", _NO_PICTURES),
+    (0, b"GIF8", "a GIF", _NO_PICTURES),
+    (0, b"%PDF", "a PDF document", _WHERE),
+    (0, b"#EXTM3U", "a play list, which only names recordings", "Upload the files that it names, in order."),
+    (0, b"version https://git-lfs", "a pointer of Git LFS, not the file itself", "Fetch the file with `git lfs pull`."),
+    (8, b"WAVE", "sound without pictures (WAV)", _WHERE),
+    (0, b"ID3", "sound without pictures (MP3)", _WHERE),
+    (4, b"styp", _PIECE, _JOIN),
+    (4, b"moof", _PIECE, _JOIN),
+    (4, b"sidx", _PIECE, _JOIN),
+)
+
+
 def _refusal(path: Path, name: str) -> UnreadableVideo:
     """Why a file that did not open did not: MP4 files that were cut off are the common case."""
     with path.open("rb") as file:
-        head = file.read(12)
+        head = file.read(_HEAD)
     if head[4:8] == b"ftyp":
         return UnreadableVideo(
             f"{name} is an MP4 file that was cut off before its end: its index is missing or broken",
             hint="Copy the file from the camera again; many cameras repair an interrupted recording when switched on.",
+        )
+    for at, signature, what, hint in _OTHERS:
+        if head[at:].startswith(signature):
+            return UnreadableVideo(
+                f"{name} is no video but {what}" if what != _PIECE else f"{name} is {what}", hint=hint
+            )
+    if head.lstrip()[:1] in (b"<", b"{") or head.lstrip(codecs.BOM_UTF8).lstrip()[:1] == b"<":
+        return UnreadableVideo(
+            f"{name} is no video but a text, such as what a server answers to a failed download", hint=_WHERE
+        )
+    if head and not head.strip(b"\0"):
+        return UnreadableVideo(
+            f"{name} begins with zeros alone: it was never written, or its card is damaged",
+            hint="Copy the file from the camera again; if it is the same there, try to repair the card.",
         )
     return UnreadableVideo(f"{name} is not a video in a format that we read")

@@ -81,7 +81,7 @@ def unwrapped_ns(times_ns: IntArray, period_ns: float) -> IntArray:
     return times_ns - np.concatenate([np.zeros(1, dtype=np.int64), gone_ns])
 
 
-def sort_stamps(times_ns: IntArray) -> Sorted:
+def sort_stamps(times_ns: IntArray, usual_ns: int | None = None) -> Sorted:
     """Find the segments of a file, and bring them onto one clock, the first one's.
 
     A lasting jump backwards, or forwards by more than an hour, is a clock that was set: how long the camera was off is
@@ -89,10 +89,11 @@ def sort_stamps(times_ns: IntArray) -> Sorted:
     that was set back again shows by its stamps that no time was lost. A few frames on another clock have stray stamps.
 
     Args:
-        times_ns: (N,) stamps in decoding order, N ≥ 2.
+        times_ns: (N,) stamps in decoding order, N ≥ 1.
+        usual_ns: the usual interval, where it is known from elsewhere; it must be for N = 1.
     """
-    usual_ns = usual_interval_ns(times_ns)
-    reordered = float((np.diff(times_ns) < 0).mean()) > 0.02
+    usual_ns = usual_interval_ns(times_ns) if usual_ns is None else usual_ns
+    reordered = int(np.count_nonzero(np.diff(times_ns) < 0)) > 0.02 * (len(times_ns) - 1)
     back_ns = (REORDER_FRAMES if reordered else 1.5) * usual_ns
     forward_ns = (1.5 * REORDER_FRAMES if reordered else 3) * usual_ns
     steps = _Steps(usual_ns, back_ns, forward_ns)
@@ -214,7 +215,7 @@ def _set_and_set_back(times_ns: IntArray, stretches: Sequence[Stretch], usual_ns
 
 def run_backwards(times_ns: IntArray) -> bool:
     """Whether stamps (N,) in decoding order descend; where frames are reordered, at most half of their steps do."""
-    return float((np.diff(times_ns) < 0).mean()) > _BACKWARDS
+    return int(np.count_nonzero(np.diff(times_ns) < 0)) > _BACKWARDS * (len(times_ns) - 1)
 
 
 def _is_apart(times_ns: IntArray, before: IntArray, after: IntArray) -> bool:

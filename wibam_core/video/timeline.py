@@ -16,7 +16,14 @@ from wibam_core.video.chapters import Named, in_order
 from wibam_core.video.packets import FilePackets, read_packets
 from wibam_core.video.recording import Recording, RecordingFile
 from wibam_core.video.sampling import nearest_times
-from wibam_core.video.stamps import LONGEST_PAUSE_NS, REORDER_FRAMES, Sorted, run_backwards, sort_stamps
+from wibam_core.video.stamps import (
+    LONGEST_PAUSE_NS,
+    REORDER_FRAMES,
+    Sorted,
+    run_backwards,
+    sort_stamps,
+    usual_interval_ns,
+)
 
 IntArray = NDArray[np.int64]
 PlacedBy = Literal["stamps", "timecode", "chapter", "creation_time", "name", "stated", "assumed"]
@@ -100,11 +107,8 @@ def read_timeline(recording: Recording, *, look: bool = False) -> Timeline:
     if look:
         _check_different(recording)
     read = [read_packets(file, look=look) for file in recording.files]
+    _check_filled(read)
     for packets in read:
-        if len(packets.stamps_ns) < 2 or packets.stamps_ns.min() == packets.stamps_ns.max():
-            raise UnreadableVideo(
-                f"{packets.file.name} holds {len(packets.stamps_ns)} frames with a timestamp: that is no recording"
-            )
         if run_backwards(packets.stamps_ns):
             raise UnreadableVideo(
                 f"the time stamps of {packets.file.name} run backwards",
@@ -118,6 +122,22 @@ def read_timeline(recording: Recording, *, look: bool = False) -> Timeline:
     names = [packets.file.name for packets in read]
     order = in_order(names, [packets.created_ns for packets in read])
     return _joined([(read[index], named) for index, named in order])
+
+
+def _check_filled(read: Sequence[FilePackets]) -> None:
+    """Of several files one may hold a single frame, as a chapter that a camera began before it was switched off.
+
+    Raises:
+        UnreadableVideo: a file that holds no frame with a stamp, or files none of which is more than a picture.
+    """
+    moving = [len(packets.stamps_ns) > 0 and packets.stamps_ns.min() < packets.stamps_ns.max() for packets in read]
+    for packets, is_moving in zip(read, moving, strict=True):
+        frames = len(packets.stamps_ns)
+        if not is_moving and (frames != 1 or not any(moving)):
+            hint = "Leave it out, or copy it from the camera again." if len(read) > 1 else None
+            named = {0: "no frame with a time stamp", 1: "a single frame"}
+            holds = named.get(frames, f"{frames} frames that all have one time stamp")
+            raise UnreadableVideo(f"{packets.file.name} holds {holds}: that is no recording", hint=hint)
 
 
 def _check_different(recording: Recording) -> None:
@@ -149,17 +169,16 @@ def _joined(ordered: Sequence[tuple[FilePackets, Named]], *, dated: bool = False
     segments: list[Segment] = []
     missing: list[str] = []
     unused = stray = doubled = 0
-    usual_ns = 0
+    usual_ns = next(usual_interval_ns(packets.stamps_ns) for packets, _ in ordered if len(packets.stamps_ns) > 1)
     before: tuple[FilePackets, Named, int] | None = None
     for packets, named in ordered:
-        stamps = sort_stamps(packets.stamps_ns)
-        usual_ns = usual_ns or stamps.usual_ns
+        stamps = _sorted(packets, usual_ns)
         place, goes_on = None, False
         if before is None and dated:
             place = _Place(_started_ns(packets), "stated", False)
         elif before is not None:
             whole = packets.with_lead_in()
-            all_stamps = sort_stamps(whole.stamps_ns)
+            all_stamps = _sorted(whole, usual_ns)
             if dated:
                 place = _as_stated(before[0], segments[-1].last_ns, whole, all_stamps, usual_ns)
             else:
@@ -209,6 +228,10 @@ def _joined(ordered: Sequence[tuple[FilePackets, Named]], *, dated: bool = False
         files.append(TimedFile(packets, of_packets, goes_on))
         before = (packets, named, first_raw_ns + shift_ns)
     return Timeline(tuple(files), tuple(segments), usual_ns, unused, stray, doubled, tuple(missing))
+
+
+def _sorted(packets: FilePackets, usual_ns: int) -> Sorted:
+    return sort_stamps(packets.stamps_ns, usual_ns if len(packets.stamps_ns) == 1 else None)
 
 
 def _are_among(times_ns: IntArray, others_ns: IntArray, tolerance_ns: int) -> NDArray[np.bool_]:

@@ -182,3 +182,26 @@ def test_channels_of_a_recorder_are_no_parts_of_one_recording() -> None:
         in_order(names, [None, None])
     of_one = ["ch01_20240501100000_20240501101000.mp4", "ch01_20240501101000_20240501102000.mp4"]
     assert [index for index, _ in in_order(of_one[::-1], [None, None])] == [1, 0]
+
+
+@pytest.mark.parametrize(("first", "second"), [(range(30), range(30, 31)), (range(1), range(1, 31))])
+def test_a_chapter_of_a_single_frame_is_part_of_the_recording(tmp_path: Path, first: range, second: range) -> None:
+    paths = [write(tmp_path / "GX010042.MP4", first), write(tmp_path / "GX020042.MP4", second)]
+    info, times_ns, numbers = read(*paths)
+    assert_one_timeline(times_ns, numbers, 31)
+    assert codes(info) == []
+
+
+def test_files_of_single_frames_alone_are_no_recording(tmp_path: Path) -> None:
+    paths = [write(tmp_path / f"GX0{number}0042.MP4", range(1)) for number in (1, 2)]
+    paths[1].write_bytes(paths[1].read_bytes() + bytes(8))  # no copy
+    with pytest.raises(UnreadableVideo, match="single frame"):
+        read(*paths)
+
+
+def test_what_was_assumed_of_a_missing_chapter_is_said(tmp_path: Path) -> None:
+    info, _, _ = read(write(tmp_path / "GX010042.MP4", range(30)), write(tmp_path / "GX030042.MP4", range(60, 70)))
+    said = {caution.code: caution.message for caution in cautions_of(info)}
+    assert "GX020042.MP4 should lie between" in said["chapter_missing"]
+    assert "as long as the file before" in said["gap_unknown"]
+    assert info.segments[1].first_ns == pytest.approx(60 * STEP_NS, abs=MP4_ERROR_NS)

@@ -95,6 +95,19 @@ def test_squeezed_pictures_are_stretched_where_the_calibration_is_for_the_size_s
     assert cautions_of(info) == []
 
 
+@pytest.mark.parametrize("size", [(318, 180), (322, 180)])
+def test_programs_round_the_width_of_stretched_pictures_as_they_like(tmp_path: Path, size: tuple[int, int]) -> None:
+    info, _ = measure(Recording.at(squeezed(tmp_path / "a.mp4")), size)
+    assert (info.width_px, info.height_px) == size
+    assert cautions_of(info) == []
+
+
+@pytest.mark.parametrize("size", [(244, 180), (320, 182), (300, 180)])
+def test_another_size_is_not_taken_for_a_rounded_one(tmp_path: Path, size: tuple[int, int]) -> None:
+    info, _ = measure(Recording.at(squeezed(tmp_path / "a.mp4")), size)
+    assert (info.width_px, info.height_px) == (240, 180)
+
+
 def test_squeezed_pictures_that_are_used_as_stored_are_said(tmp_path: Path) -> None:
     info, _ = measure(Recording.at(squeezed(tmp_path / "a.mp4")), (240, 180))
     assert (info.width_px, info.height_px) == (240, 180)

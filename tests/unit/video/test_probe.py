@@ -126,8 +126,8 @@ def black(path: Path, codec: str, frames: int) -> Path:
 
 
 def test_codec_that_we_do_not_read_is_named(tmp_path: Path) -> None:
-    with pytest.raises(UnreadableVideo, match="ffv1"):
-        probe(black(tmp_path / "a.mkv", "ffv1", 3))
+    with pytest.raises(UnreadableVideo, match="snow"):
+        probe(black(tmp_path / "a.avi", "snow", 3))
 
 
 def test_recording_without_frames_is_refused(tmp_path: Path) -> None:
@@ -135,7 +135,7 @@ def test_recording_without_frames_is_refused(tmp_path: Path) -> None:
         pass
     with pytest.raises(UnreadableVideo):
         probe(tmp_path / "a.mp4")
-    with pytest.raises(UnreadableVideo, match="1 frame"):
+    with pytest.raises(UnreadableVideo, match="a single frame"):
         probe(write(tmp_path / "b.mp4", [0]))
 
 
