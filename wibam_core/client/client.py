@@ -66,6 +66,9 @@ class WibamClient(NetworkRequests, ResultRequests, LabelRequests, ClipRequests, 
     def sites(self) -> list[SiteView]:
         return [SiteView.model_validate(item) for item in self._connection.items("/v1/sites")]
 
+    def site(self, site_id: str) -> SiteView:
+        return SiteView.model_validate(self._connection.json("GET", f"/v1/sites/{site_id}"))
+
     def replace_site(self, site_id: str, site: Site) -> SiteView:
         """Describe a site anew. Recordings stay with the cameras of the same id; jobs keep their description."""
         content = site.model_dump_json().encode()

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from datetime import datetime
 from pathlib import Path
 from typing import Any
 
@@ -79,9 +80,18 @@ class NetworkRequests(Requests):
         """
         return self._send(path, site_id, Purpose.FOOTAGE, camera_id, progress, started_at)
 
-    def footage(self, site_id: str, camera_id: str | None = None) -> list[FootageView]:
-        """All footage of a site's cameras, the recordings included."""
-        found = self._connection.items(f"/v1/sites/{site_id}/footage", {"camera": camera_id})
+    def footage(
+        self, site_id: str, camera_id: str | None = None, began: tuple[datetime, datetime] | None = None
+    ) -> list[FootageView]:
+        """The footage of a site's cameras, the recordings included.
+
+        Args:
+            site_id: whose cameras.
+            camera_id: of one camera alone.
+            began: that began at the first of two times, or later, and before the second.
+        """
+        times = {} if began is None else {"from": began[0].isoformat(), "to": began[1].isoformat()}
+        found = self._connection.items(f"/v1/sites/{site_id}/footage", {"camera": camera_id, **times})
         return [FootageView.model_validate(item) for item in found]
 
     def delete_footage(self, site_id: str, file_id: str) -> None:

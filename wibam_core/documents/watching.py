@@ -64,3 +64,5 @@ class Watched(Document):
     by_class: dict[str, int]
     continued: bool
     """Road users that were in view at the end of the run before kept their ids."""
+    missed_before: Stretch | None = None
+    """What nobody recorded between that run's last picture and this one's first, if it is 2 s or more."""

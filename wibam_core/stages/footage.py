@@ -29,7 +29,7 @@ Image = NDArray[np.uint8]
 #: Frames that may wait decoded, of each camera.
 _AHEAD = 8
 #: A shorter pause is no gap.
-_GAP_S = 2.0
+GAP_S = 2.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -58,7 +58,7 @@ class CameraFootage:
         found: list[Stretch] = []
         for first_ns, last_ns in pieces or [(self.info.first_ns, self.info.last_ns)]:
             start, end = int(self.clock.to_reference_ns(first_ns)), int(self.clock.to_reference_ns(last_ns))
-            if found and start - found[-1].to_ns < _GAP_S * 1e9:
+            if found and start - found[-1].to_ns < GAP_S * 1e9:
                 start = found.pop().from_ns
             found.append(Stretch(from_ns=start, to_ns=end))
         return found

@@ -32,7 +32,7 @@ from wibam_core.models.network import Network, predict
 from wibam_core.networks.registry import load_to_detect
 from wibam_core.scene import CameraRig, Track
 from wibam_core.stages.base import StageContext, Summary
-from wibam_core.stages.footage import CameraFootage, Footage, SeenFrame
+from wibam_core.stages.footage import GAP_S, CameraFootage, Footage, SeenFrame
 from wibam_core.tracking.one_per_camera import found_once
 from wibam_core.tracking.stream import TrackStream, read_stream, write_stream
 from wibam_core.watching.drift import doubts, looked_at
@@ -120,9 +120,12 @@ class _Watch:
         if (scratch / _NOTED).exists():
             notes = _Notes.of_json((scratch / _NOTED).read_text())
             return notes, read_stream(self._state(notes.chunks), config)
-        if "open_tracks" in self._context.assets:
-            return _Notes(), read_stream(self._context.assets["open_tracks"], config)
-        return _Notes(), TrackStream(config)
+        return _Notes(), self._before() or TrackStream(config)
+
+    def _before(self) -> TrackStream | None:
+        """What the run before left to go on with; None where there was none."""
+        assets = self._context.assets
+        return read_stream(assets["open_tracks"], self._config) if "open_tracks" in assets else None
 
     def _state(self, chunk: int) -> Path:
         return self._context.scratch / f"{chunk}-{_STATE}"
@@ -236,16 +239,24 @@ class _Watch:
         notes = self._notes
         cameras = {id_: self._camera(id_, camera) for id_, camera in self._cameras.items()}
         ends = [(stretch.from_ns, stretch.to_ns) for camera in cameras.values() for stretch in camera.footage]
+        start_ns, dated = (
+            min(start for start, _ in ends),
+            all(camera.recording.is_dated for camera in self._cameras.values()),
+        )
+        before = self._before()
+        before_ns = None if before is None or not dated else before.last_ns
+        missed = before_ns is not None and start_ns - before_ns >= GAP_S * 1e9
         return Watched(
-            start_ns=min(start for start, _ in ends),
+            start_ns=start_ns,
             end_ns=max(end for _, end in ends),
-            dated=all(camera.recording.is_dated for camera in self._cameras.values()),
+            dated=dated,
             instants=notes.instants,
             cameras=cameras,
             turns=notes.turns,
             tracks=len(notes.classes),
             by_class=dict(sorted(Counter(notes.classes.values()).items())),
-            continued="open_tracks" in self._context.assets,
+            continued=before is not None,
+            missed_before=Stretch(from_ns=before_ns, to_ns=start_ns) if missed and before_ns is not None else None,
         )
 
     def _camera(self, camera_id: str, camera: CameraFootage) -> CameraWatched:

@@ -100,6 +100,12 @@ class TrackStream:
         begun = [self._said[id(hits)].until_ns + 1 if id(hits) in self._said else hits[0].time_ns for hits in active]
         return min([int(instants[-1]) + 1, *begun])
 
+    @property
+    def last_ns(self) -> int | None:
+        """The last instant that was taken in; None before the first."""
+        instants = self._tracker.instants
+        return int(instants[-1]) if len(instants) else None
+
     def ended(self) -> list[Track]:
         """What is still to be said of all tracks, as if there were no more footage.
 

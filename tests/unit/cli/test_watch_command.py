@@ -28,6 +28,14 @@ def test_a_name_says_when_a_file_began(name: str) -> None:
     assert began(name, timedelta(hours=2)) == datetime(2026, 7, 1, 6, tzinfo=UTC)
 
 
+@pytest.mark.parametrize("offset", [NONE, timedelta(hours=2)])
+def test_a_name_in_utc_says_so_and_may_have_thousandths(offset: timedelta) -> None:
+    assert began("2026-07-01_08-00-00.250Z.mkv", offset) == datetime(2026, 7, 1, 8, 0, 0, 250_000, tzinfo=UTC)
+    assert began("2026-07-01T08:00:00Z.mkv", offset) == datetime(2026, 7, 1, 8, tzinfo=UTC)
+    assert began("2026-07-01_08-00-00.3gp", offset) == datetime(2026, 7, 1, 8, tzinfo=UTC) - offset
+    assert began("2026-07-01_08-00-00Zebra.mkv", offset) == datetime(2026, 7, 1, 8, tzinfo=UTC) - offset
+
+
 @pytest.mark.parametrize("name", ["north.mp4", "2026-13-01_08-00-00.mp4", "120260701080000.mp4"])
 def test_a_name_that_says_no_time_is_refused(name: str) -> None:
     with pytest.raises(InputError, match="does not say when the file began"):
@@ -40,10 +48,13 @@ def test_complete_files_come_by_time_once(tmp_path: Path) -> None:
     put(tmp_path, "north/2026-07-01_08-00-00.mp4")
     put(tmp_path, "north/2026-07-01_08-20-00.mp4", age_s=3.0)  # it still grows
     put(tmp_path, "north/2026-07-01_08-30-00.mp4", content=b"")
+    put(tmp_path, "north/2026-07-01_08-30-00.000Z.mkv", age_s=0.0)  # recorded here: complete once it has its name
+    put(tmp_path, "north/.2026-07-01_08-40-00.000Z.mkv", age_s=0.0)
     put(tmp_path, "north/thumbnail.jpg")
     put(tmp_path, "north/.2026-07-01_08-40-00.mp4")
     found = arrivals(tmp_path, {"north/2026-07-01_08-10-00.mp4"}, 30.0, NONE, NOW)
     assert [(one.camera, one.path.name) for one in found] == [
         ("north", "2026-07-01_08-00-00.mp4"),
         ("south", "2026-07-01_08-05-00.mp4"),
+        ("north", "2026-07-01_08-30-00.000Z.mkv"),
     ]

@@ -146,11 +146,16 @@ def test_the_next_run_goes_on_with_the_same_ids(runs: Runs) -> None:
     second = runs.run({"cam1": runs.files(20.0)}, open_tracks=first.local(catalogue.OPEN_TRACKS))
     (before, _), (after, watched) = read(first), read(second)
     assert watched.continued
+    assert watched.missed_before is None
     assert [track.track_id for track in before] == [track.track_id for track in after] == [0, 1]
     whole, _ = read(runs.run({"cam1": runs.files(0.0, 20.0)}))
     for track in whole:
         parts = [next(t for t in of_run if t.track_id == track.track_id) for of_run in (before, after)]
         np.testing.assert_array_equal(np.concatenate([part.times_ns for part in parts]), track.times_ns)
+    _, later = read(runs.run({"cam1": runs.files(90.0)}, open_tracks=first.local(catalogue.OPEN_TRACKS)))
+    assert later.missed_before is not None
+    missed = [(ns - BEGIN_NS) / S for ns in (later.missed_before.from_ns, later.missed_before.to_ns)]
+    assert missed == [19.6, 90.0]
     with pytest.raises(InputError, match="does not hold tracks to go on with"):
         runs.run({"cam1": runs.files(20.0)}, open_tracks=runs.video)
 

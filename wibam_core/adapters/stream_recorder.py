@@ -1,0 +1,149 @@
+"""Recording a camera's stream for months into a folder: connecting again and again, in bounded space."""
+
+from __future__ import annotations
+
+import re
+import threading
+import time
+from collections.abc import Callable
+from contextlib import suppress
+from pathlib import Path
+
+from wibam_core.adapters.camera_stream import SILENCE_S, StreamAddress, StreamLost, StreamRefused, open_stream
+from wibam_core.errors import DiskFull, WibamError
+from wibam_core.video.chunks import SUFFIX, Chunk, ChunkCutter, recovered
+
+#: Pauses before a camera is tried again: at first, and at most. A refused password is not tried more often: cameras
+#: lock users out who do so.
+_FIRST_PAUSE_S, _LONGEST_PAUSE_S = 1.0, 60.0
+_OURS = re.compile(r"\d{4}-\d\d-\d\d_\d\d-\d\d-\d\d\.\d{3}Z" + re.escape(SUFFIX))
+
+
+def is_recorded(path: Path) -> bool:
+    """Whether a file is named as those that are recorded here."""
+    return _OURS.fullmatch(path.name) is not None
+
+
+class StreamRecorder:
+    """Records one stream in a thread of its own until it is stopped: files in a folder, and words for a person.
+
+    A stream that breaks, ends or falls silent is connected to again, after pauses that double up to a minute. What is
+    missing meanwhile is missing: files say when they began, and how long they are. Where files wait for longer than
+    there is room, the oldest is removed.
+
+    Args:
+        address: of the stream.
+        folder: for its files; it is made.
+        chunk_s: how long a file is, about.
+        most_bytes: that files which wait may take.
+        say: told what a person should know, from the thread.
+        silence_s: a stream that is silent for so long is gone.
+        first_pause_s: before a lost stream is tried again.
+    """
+
+    def __init__(
+        self,
+        address: StreamAddress,
+        folder: Path,
+        chunk_s: float,
+        most_bytes: int,
+        say: Callable[[str], None],
+        silence_s: float = SILENCE_S,
+        first_pause_s: float = _FIRST_PAUSE_S,
+    ) -> None:
+        self._address, self._folder = address, folder
+        self._chunk_s, self._most_bytes, self._silence_s = chunk_s, most_bytes, silence_s
+        self._first_pause_s = self._pause_s = first_pause_s
+        self._say = say
+        self._stop = threading.Event()
+        self._failed: BaseException | None = None
+        self._ever_read = False
+        self._lost_at: float | None = None
+        self._said = ""
+        folder.mkdir(parents=True, exist_ok=True)
+        recovered(folder)
+        self._thread = threading.Thread(target=self._run, name=f"stream {folder.name}", daemon=True)
+        self._thread.start()
+
+    def check(self) -> None:
+        """Raises what ended the recording.
+
+        Raises:
+            StreamRefused: the stream was never readable, and does not become so by waiting.
+        """
+        if self._failed is not None:
+            raise self._failed
+
+    def stop(self) -> None:
+        """End the recording; the file that is being written is completed."""
+        self._stop.set()
+        self._thread.join()
+
+    # --- in the thread -------------------------------------------------------------------------
+    def _run(self) -> None:
+        try:
+            while not self._stop.is_set():
+                try:
+                    self._record()
+                except StreamRefused as error:
+                    if not self._ever_read:
+                        raise
+                    self._lost(error)
+                    self._pause_s = _LONGEST_PAUSE_S
+                except WibamError as error:
+                    self._lost(error)
+                except OSError as error:  # the disk's: all that the stream says are errors of ours
+                    self._lost(DiskFull(f"{self._folder} cannot be written: {error.strerror}"))
+                self._stop.wait(self._pause_s)
+                self._pause_s = min(2 * self._pause_s, _LONGEST_PAUSE_S)
+        except BaseException as error:  # it is the reader's to deal with
+            self._failed = error
+
+    def _record(self) -> None:
+        """Record until the stream is lost or somebody stops it."""
+        cutter = ChunkCutter(self._folder, self._chunk_s, _unix_ns, self._keep)
+        with open_stream(self._address, self._silence_s) as packets, cutter:
+            for one in packets:
+                cutter.add(one.packet, one.stream, one.arrived_ns)
+                if not self._ever_read or self._lost_at is not None:
+                    self._found()
+                if self._stop.is_set():
+                    return
+                if cutter.overdue:
+                    raise StreamLost(
+                        f"{self._address} has hardly any key frames", hint="Set the camera to one in every few seconds."
+                    )
+
+    def _keep(self, chunk: Chunk) -> None:
+        """Make room for a complete file."""
+        self._pause_s = self._first_pause_s
+        sizes: dict[Path, int] = {}
+        for path in sorted(path for path in self._folder.iterdir() if is_recorded(path)):
+            with suppress(FileNotFoundError):  # somebody was done with it meanwhile
+                sizes[path] = path.stat().st_size
+        for path in [*sizes][:-1]:
+            if sum(sizes.values()) <= self._most_bytes:
+                return
+            path.unlink(missing_ok=True)
+            del sizes[path]
+            self._say(f"{self._folder.name}/{path.name} was removed: files wait for longer than there is room")
+
+    def _found(self) -> None:
+        if self._lost_at is not None:
+            self._say(f"{self._address} is back after {time.monotonic() - self._lost_at:.0f} s")
+        else:
+            self._say(f"{self._address} is being recorded")
+        self._ever_read, self._lost_at = True, None
+
+    def _lost(self, error: WibamError) -> None:
+        """Say why, unless it is what was said last."""
+        if self._lost_at is None:
+            self._lost_at, self._said = time.monotonic(), ""
+        if error.message != self._said:
+            self._said = error.message
+            self._say(f"{error.message}. {error.hint}".strip())
+
+
+def _unix_ns(monotonic_ns: int) -> int:
+    """Unix time of a time of the clock that is never set, by what is known of it now."""
+    return time.time_ns() - time.monotonic_ns() + monotonic_ns
