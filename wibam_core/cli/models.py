@@ -158,8 +158,10 @@ def delete(model_id: ModelId, url: Url = DEFAULT_URL, token: Token = "") -> None
 
 def _three(first: MeanSd, second: MeanSd, test: Significance) -> tuple[str, str, str]:
     means = ["–" if one.mean is None else f"{one.mean:.3f}" for one in (first, second)]
-    if test.difference is None or test.low is None or test.high is None:
+    if test.difference is None:
         return means[0], means[1], "–"
+    if test.low is None or test.high is None:
+        return means[0], means[1], f"{test.difference:+.3f} (too few vehicles)"
     return means[0], means[1], f"{test.difference:+.3f} ({test.low:+.3f} to {test.high:+.3f})"
 
 

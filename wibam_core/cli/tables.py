@@ -196,10 +196,11 @@ def _consistency_table(metrics: Metrics) -> Table:
 
 
 def _caption(metrics: Metrics) -> str:
-    return (
-        f"mean (s.d.) over matched vehicles in {metrics.frames} images; ** differs from the baseline "
-        f"at p < {_SIGNIFICANT} (bootstrap over vehicles), * at p < 0.05"
-    )
+    of = f"mean (s.d.) over matched vehicles in {metrics.frames} images; "
+    tests = (metrics.significance or {}).values()
+    if any(test.is_of_too_few for test in tests):
+        return of + "too few different vehicles to say what differs by more than chance"
+    return of + f"** differs from the baseline at p < {_SIGNIFICANT} (bootstrap over vehicles), * at p < 0.05"
 
 
 def _cell(value: MeanSd, digits: int, test: Significance | None = None) -> str:

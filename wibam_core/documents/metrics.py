@@ -42,9 +42,16 @@ class Significance(Document):
     p_z: float | None
     difference: float | None
     low: float | None
-    """Lower end of the 95 % interval of the difference, by bootstrap."""
+    """Lower end of the 95 % interval of the difference, by bootstrap; null of too few vehicles, as `p_bootstrap` is."""
     high: float | None
     p_bootstrap: float | None
+    vehicles: int | None = None
+    """How many different vehicles the figure is of, of that network that found fewer; fewer than six tell nothing."""
+
+    @property
+    def is_of_too_few(self) -> bool:
+        """Whether there is a difference, and too few vehicles to say how sure it is."""
+        return self.difference is not None and self.p_bootstrap is None
 
 
 class Part(Document):

@@ -9,7 +9,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from wibam_core.config import EvaluateConfig
-from wibam_core.documents.base import finite
 from wibam_core.documents.comparison import ComparedNetwork, NetworkComparison
 from wibam_core.documents.metrics import Significance
 from wibam_core.errors import Conflict
@@ -17,7 +16,7 @@ from wibam_core.evaluation.evaluate import evaluate
 from wibam_core.evaluation.instants import exposure_times
 from wibam_core.evaluation.labels_at import LabelTimeline
 from wibam_core.evaluation.self_consistency import Agreement, agreements, self_consistency
-from wibam_core.evaluation.significance import bootstrap_by_vehicle, significance, z_test
+from wibam_core.evaluation.significance import both_tests, significance
 from wibam_core.evaluation.summary import summarise
 from wibam_core.geometry.camera import Camera
 from wibam_core.road_users import CLASSES, RoadUserClass
@@ -107,17 +106,7 @@ def compare_networks(
 
 def _of_other_views(first: Sequence[Agreement], second: Sequence[Agreement]) -> Significance:
     """Both tests of the IoU in other views."""
-    (before, before_ids), (after, after_ids) = _by_vehicle(first), _by_vehicle(second)
-    test = z_test(before, after)
-    drawn = bootstrap_by_vehicle(before, before_ids, after, after_ids)
-    return Significance(
-        z=finite(test.z),
-        p_z=finite(test.p),
-        difference=finite(drawn.difference),
-        low=finite(drawn.low),
-        high=finite(drawn.high),
-        p_bootstrap=finite(drawn.p),
-    )
+    return both_tests(*_by_vehicle(first), *_by_vehicle(second))
 
 
 def _by_vehicle(found: Sequence[Agreement]) -> tuple[NDArray[np.float64], NDArray[np.int64]]:

@@ -137,7 +137,15 @@ def _change(name: str, digits: int, test: Significance | None) -> tuple[Cell, st
     verdict = "" if not mark else "better" if (test.difference > 0) == higher_is_better else "worse"
     low, high = (None if end is None else signed(end, digits) for end in (test.low, test.high))
     ends = "" if low is None or high is None else f"{low} to {high}"
+    if test.is_of_too_few:
+        ends = too_few(test)
     return Cell(signed(test.difference, digits) + mark, ends), verdict
+
+
+def too_few(test: Significance) -> str:
+    """What stands in place of an interval where there are too few vehicles for one."""
+    count = test.vehicles or 0
+    return f"{count} vehicle{'' if count == 1 else 's'}: too few"
 
 
 def z_tests(metrics: Metrics) -> str:

@@ -17,11 +17,11 @@ from wibam_core.scene import AnnotatedInstant, Detections2D, FrameSet, LabelledI
 RIG = corner_rig(3)
 TIMES = [index * 500_000_000 for index in range(12)]
 RNG = np.random.default_rng(3)
-SPOTS = np.array([[-6.0, -5], [0, 0], [6, 5], [-5, 6], [7, -6]])
+SPOTS = np.array([[-6.0, -5], [0, 0], [6, 5], [-5, 6], [7, -6], [1, 9]])
 
 
 def truth() -> np.ndarray:
-    """Five cars that stand, boxes (5, 7)."""
+    """Six cars that stand, boxes (6, 7)."""
     boxes = np.tile([0.0, 0, 0.75, 4.5, 1.8, 1.5, 0.4], (len(SPOTS), 1))
     boxes[:, :2] = SPOTS
     return boxes
@@ -88,7 +88,7 @@ def test_only_instants_of_both_test_parts_with_the_same_frames_are_compared() ->
     assert [one.time_ns for one in both] == TIMES[8:]
     result = compare_networks(found(0.1), found(0.1), both, [annotated(t) for t in TIMES], RIG, EvaluateConfig())
     assert result.instants == 4
-    assert result.first.consistency.pairs == 4 * 3 * 5 * 2
+    assert result.first.consistency.pairs == 4 * 3 * 6 * 2
     with pytest.raises(Conflict, match="no held-out instant in common"):
         held_out_from_both(instants(), instants(), TIMES[:6], TIMES[6:])
     with pytest.raises(Conflict, match="no held-out instant in common"):

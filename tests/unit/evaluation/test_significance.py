@@ -3,7 +3,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from wibam_core.evaluation.significance import bootstrap_by_vehicle, z_test
+from wibam_core.evaluation.significance import MIN_VEHICLES, bootstrap_by_vehicle, both_tests, z_test
 
 
 def test_z_test_by_hand() -> None:
@@ -52,3 +52,33 @@ def test_seeded_and_nan_without_values() -> None:
     assert one == bootstrap_by_vehicle(values, ids, values[::-1] ** 2, ids, seed=3)
     assert one != bootstrap_by_vehicle(values, ids, values[::-1] ** 2, ids, seed=4)
     assert np.isnan(bootstrap_by_vehicle(values, ids, np.empty(0), np.empty(0, int)).p)
+
+
+@pytest.mark.parametrize("vehicles", [1, MIN_VEHICLES - 1])
+def test_a_few_vehicles_tell_a_difference_and_not_how_sure_it_is(vehicles: int) -> None:
+    ids = np.repeat(np.arange(vehicles), 50)
+    result = both_tests(np.zeros(len(ids)), ids, np.full(len(ids), 0.3), ids)
+    assert result.difference == pytest.approx(0.3)
+    assert result.low is result.high is result.p_bootstrap is None
+    assert result.vehicles == vehicles and result.is_of_too_few
+
+
+def test_vehicles_of_one_detector_alone_make_the_other_no_surer() -> None:
+    many, one = np.arange(40), np.zeros(40, int)
+    assert both_tests(np.zeros(40), many, np.ones(40), one).p_bootstrap is None
+    assert both_tests(np.zeros(40), one, np.ones(40), many).vehicles == 1
+
+
+@pytest.mark.parametrize(("vehicles", "least"), [(6, 1 / 32), (7, 1 / 64), (8, 1 / 128), (20, 0.0)])
+def test_no_p_is_below_that_of_all_vehicles_changing_alike(vehicles: int, least: float) -> None:
+    """Which, of n vehicles, is that of n coins: 2 / 2^n, on both sides."""
+    ids = np.repeat(np.arange(vehicles), 30)
+    result = both_tests(np.zeros(len(ids)), ids, np.full(len(ids), 0.3), ids)
+    assert not result.is_of_too_few
+    assert result.p_bootstrap == pytest.approx(max(least, 2 / 2001))
+
+
+def test_nothing_to_compare_is_not_too_few() -> None:
+    nothing = np.empty(0)
+    result = both_tests(nothing, nothing.astype(int), np.ones(3), np.arange(3))
+    assert result.difference is None and result.vehicles == 0 and not result.is_of_too_few

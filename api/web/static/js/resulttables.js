@@ -34,7 +34,7 @@ export function beforeAfter(metrics) {
   const cells = METRICS.map(([title, field, digits, lessIsBetter]) => {
     const test = metrics.significance?.[field];
     return [title, ...present.map(([name]) => meanSd(metrics[name][field], digits)), change(test, digits, lessIsBetter),
-      test && test.low !== null ? `${number(test.low, digits)} to ${number(test.high, digits)}` : "–", test ? number(test.p_bootstrap, 3) : "–"];
+      test && test.low !== null ? `${number(test.low, digits)} to ${number(test.high, digits)}` : tooFew(test) || "–", test ? number(test.p_bootstrap, 3) : "–"];
   });
   cells.push(["Recall", ...present.map(([name]) => percent(metrics[name].recall.mean)), "", "", ""]);
   cells.push(["Precision", ...present.map(([name]) => percent(metrics[name].precision)), "", "", ""]);
@@ -47,13 +47,19 @@ export function beforeAfter(metrics) {
   return shown;
 }
 
+/** What stands in place of an interval where there are too few vehicles for one; empty where there are enough, or none. @param {any} test */
+export function tooFew(test) {
+  if (!test || test.difference === null || test.p_bootstrap !== null) return "";
+  return `${test.vehicles} vehicle${test.vehicles === 1 ? "" : "s"}: too few`;
+}
+
 /** @param {any} test @param {number} digits @param {boolean} lessIsBetter */
 function change(test, digits, lessIsBetter) {
   if (!test || test.difference === null) return "–";
   const sure = test.p_bootstrap !== null && test.p_bootstrap < 0.05;
   const better = (test.difference < 0) === lessIsBetter;
   const sign = test.difference > 0 ? "+" : "";
-  return h(`span${sure ? (better ? ".better" : ".worse") : ""}`, { title: sure ? (better ? "better" : "worse") : "may be chance" }, sign + number(test.difference, digits));
+  return h(`span${sure ? (better ? ".better" : ".worse") : ""}`, { title: sure ? (better ? "better" : "worse") : tooFew(test) || "may be chance" }, sign + number(test.difference, digits));
 }
 
 /** Agreement with the other views, which needs no labels. @param {any} metrics */

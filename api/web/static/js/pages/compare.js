@@ -3,7 +3,7 @@ import { get, getAll, Problem, query, Results } from "../api.js";
 import { attempt, byId, fill, h, message, sentence } from "../dom.js";
 import { bars, figure } from "../chart.js";
 import { meanSd, number, percent, when } from "../format.js";
-import { METRICS, table } from "../resulttables.js";
+import { METRICS, table, tooFew } from "../resulttables.js";
 
 /** @param {any} job */
 const nameOf = (job) => job.name || job.id;
@@ -53,7 +53,7 @@ async function sameInstants(a, b) {
     if (error instanceof Problem && error.status === 409) return h("p.note", null, `${sentence(error.message)} ${error.hint}`);
     throw error;
   }
-  const between = (/** @type {any} */ test, /** @type {number} */ digits) => (test.difference === null ? "–" : `${test.difference > 0 ? "+" : ""}${number(test.difference, digits)} (${number(test.low, digits)} to ${number(test.high, digits)})`);
+  const between = (/** @type {any} */ test, /** @type {number} */ digits) => (test.difference === null ? "–" : `${test.difference > 0 ? "+" : ""}${number(test.difference, digits)} (${tooFew(test) || `${number(test.low, digits)} to ${number(test.high, digits)}`})`);
   const cells = [["IoU in other views", meanSd(found.first.consistency.other_views), meanSd(found.second.consistency.other_views), between(found.other_views, 3)]];
   const rows = [["other_views", found.first.consistency.other_views.mean, found.second.consistency.other_views.mean, found.other_views.difference]];
   if (found.significance) for (const [title, field, digits] of METRICS) {
