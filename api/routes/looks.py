@@ -11,6 +11,7 @@ from pydantic import BaseModel, Field
 from api.parameters import ONLY_KNOWN_PARAMETERS
 from api.problems import documented
 from api.routes.scene import SceneCameraOut, scene_camera
+from api.schemas import ErrorOut
 from api.services import Services, ServicesDep
 from wibam_core.adapters.glimpses import ForeignCalibration, GlimpseRequest
 from wibam_core.documents.calibration import CameraResiduals
@@ -46,11 +47,12 @@ class SignalStripOut(BaseModel):
 
 
 class SolvedCameraOut(BaseModel):
-    """A camera as its calibration comes out."""
+    """A camera as its calibration comes out; without `camera` and `residuals` where it does not."""
 
-    camera: SceneCameraOut
-    residuals: CameraResiduals
-    cautions: list[Caution] = Field(description="what is doubtful about it, and what to do")
+    camera: SceneCameraOut | None = None
+    residuals: CameraResiduals | None = None
+    problem: ErrorOut | None = Field(None, description="why these points give no camera")
+    cautions: list[Caution] = Field(default=[], description="what is doubtful about it, and what to do")
 
 
 class CalibrationFileIn(BaseModel):
@@ -141,11 +143,18 @@ def signal(
 
 @calibration_router.post("/solve", summary="Solve one camera", responses=documented(413, 422))
 def solve(camera: SiteCamera) -> SolvedCameraOut:
-    """From its calibration as a site has it: pose, residuals of each point, what is doubtful. Nothing is kept."""
+    """From its calibration as a site has it: pose, residuals of each point, what is doubtful. Nothing is kept.
+
+    Points that give no camera, such as four on a line, are answered with a `problem`: whoever sets points one after
+    another meets such on the way.
+    """
     from wibam_core.calibration.rig import solve_camera
     from wibam_core.config import CalibrateConfig
 
-    solved = solve_camera(camera, CalibrateConfig())
+    try:
+        solved = solve_camera(camera, CalibrateConfig())
+    except InputError as error:
+        return SolvedCameraOut(problem=ErrorOut.model_validate(error.to_dict()))
     return SolvedCameraOut(
         camera=scene_camera(camera.id, solved.camera, None),
         residuals=solved.document(),

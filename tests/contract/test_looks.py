@@ -82,12 +82,21 @@ class TestSolving:
         np.testing.assert_allclose(np.array(answer["camera"]["T_world_cam"])[:, 3], (14.0, -18.0, 7.0), atol=1e-3)
         assert answer["residuals"]["max_px"] < 1e-3
 
-    def test_too_few_points_are_said(self, api: LiveApi) -> None:
-        body = self.body()
-        body["calibration"]["correspondences"] = []  # type: ignore[index]
+    @pytest.mark.parametrize("kept", [[], [[0.0, 0, 0], [5, 5, 0], [9, 9, 0], [-4, -4, 0], [2, 2, 0]]])
+    def test_points_that_give_no_camera_are_said(self, api: LiveApi, kept: list[list[float]]) -> None:
+        """Too few, and as many as there must be, but on a line."""
+        body, camera = self.body(), look_at((14.0, -18.0, 7.0))
+        pixels, _ = camera.project(np.array(kept).reshape(-1, 3))
+        points = [{"world": w, "pixel": p.tolist()} for w, p in zip(kept, pixels, strict=True)]
+        body["calibration"]["correspondences"] = points  # type: ignore[index]
         answer = api.http.post("/v1/calibration/solve", json=body)
-        assert answer.status_code == 422
-        assert answer.json()["hint"]
+        assert answer.status_code == 200
+        said = answer.json()
+        assert said["camera"] is said["residuals"] is None
+        assert said["problem"]["message"] and said["problem"]["hint"]
+
+    def test_a_body_that_is_no_camera_is_refused(self, api: LiveApi) -> None:
+        assert api.http.post("/v1/calibration/solve", json={**self.body(), "width_px": -1}).status_code == 422
 
 
 class TestReading:

@@ -129,6 +129,7 @@ export class CalibrationPanel {
     try {
       const answer = await send("POST", "/v1/calibration/solve", { id: this.id, width_px: this.size[0], height_px: this.size[1], calibration: this.document() });
       if (mine !== this.number) return; // a later change has its own answer
+      if (answer.problem) throw new Problem(answer.problem.message, answer.problem);
       this.camera = new Camera(answer.camera);
       this.complete().forEach((point, index) => { point.residual = answer.residuals.residuals[index]; });
       fill(place, this.facts(answer.residuals), answer.cautions.map((/** @type {any} */ caution) => message("caution", caution.message, caution.hint)));

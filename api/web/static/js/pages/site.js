@@ -71,13 +71,8 @@ async function removeCamera(id) {
 async function solveAll() {
   await Promise.all(record.site.cameras.map(async (/** @type {any} */ camera) => {
     if (camera.calibration.kind !== "matrices" && !camera.calibration.correspondences.length) { solved.delete(camera.id); return; }
-    try {
-      const answer = await send("POST", "/v1/calibration/solve", camera);
-      solved.set(camera.id, { camera: new Camera(answer.camera), problem: null, cautions: answer.cautions });
-    } catch (error) {
-      if (!(error instanceof Problem) || error.status !== 422) throw error;
-      solved.set(camera.id, { camera: null, problem: error, cautions: [] });
-    }
+    const answer = await send("POST", "/v1/calibration/solve", camera);
+    solved.set(camera.id, { camera: answer.camera && new Camera(answer.camera), problem: answer.problem, cautions: answer.cautions });
   }));
 }
 
