@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from tests.browser.conftest import Visit, serious_findings, visit
-from tests.labelled_job import FIT_ERROR, TIMES_NS, labelled_job
+from tests.labelled_job import FIT_ERROR, TIMES_NS, labelled_job, later_job
 from tests.service import LiveApi, wait_until
 from tests.site_dataset import boxes_at, tiny_rig
 from wibam_core.geometry.iou import bev_iou_paired
@@ -243,6 +243,25 @@ def test_what_is_not_saved_is_there_again_and_two_people_see_each_other(
     np.testing.assert_allclose(box[:2], start[:2] + forward, atol=1e-9)
     labelling.forgive("ERR_FAILED")
     labelling.forgive("status of 412")
+
+
+def test_labels_of_instants_that_a_later_job_lacks_are_counted_and_not_asked_for(
+    api: LiveApi, signed_in: Visit
+) -> None:
+    """An address with such an instant leads to the nearest one. (`signed_in` looks at the console.)"""
+    earlier = labelled_job(api, b"more instants")
+    for time_ns in (TIMES_NS[1], TIMES_NS[3]):
+        address = f"/v1/jobs/{earlier}/labels/instants/{time_ns}"
+        body = {"author": "anna", "vehicles": [], "finished": True}
+        assert api.http.put(address, headers={"If-Match": '"0"'}, json=body).status_code == 200
+    job = later_job(api, earlier, 2)
+    signed_in.page.evaluate("localStorage['wibam-author'] = 'ben'")
+    page = signed_in.open(f"/jobs/{job}/labelling?time_ns={TIMES_NS[3]}")
+    page.get_by_text("version 1 by anna").wait_for()
+    page.get_by_text("1 more labelled instant is of another job of this footage").wait_for()
+    page.get_by_text("1 instant finished").wait_for()
+    assert page.locator("#instant").input_value() == str(TIMES_NS[1])
+    assert str(TIMES_NS[3]) not in page.locator("#instant option").evaluate_all("all => all.map((one) => one.value)")
 
 
 def test_a_job_that_has_fitted_nothing_says_when_it_can_be_labelled(signed_in: Visit, api: LiveApi) -> None:

@@ -1,12 +1,13 @@
 // Labelling: all cameras' frames and the plan at one instant, with cuboids that are the same in all of them.
 import { get, query, Results, send } from "../api.js";
 import { ask, attempt, byId, fill, h, message, say } from "../dom.js";
-import { clock, duration, number, percent } from "../format.js";
+import { clock, duration } from "../format.js";
 import { FrameCache } from "../frames.js";
 import { FrameView } from "../frameview.js";
 import { jobId, readOnly, showTabs, showTitle } from "../jobtabs.js";
 import { layMap } from "../maplayer.js";
 import { drawCuboids, drawVehicles, gripInPlan, gripInView } from "../labeldraw.js";
+import { showAgreement } from "../labelagreement.js";
 import { boxAfterKey, boxAfterWheel } from "../labelkeys.js";
 import { grounded, heading, later, Model } from "../labelmodel.js";
 import { makePanel, showVehicle } from "../labelpanel.js";
@@ -321,19 +322,9 @@ async function evaluate() {
   location.assign(`/jobs/${jobId}`);
 }
 
-async function compare() {
-  const found = await get(`/v1/jobs/${jobId}/labels/agreement${query({ first: setName(), second: byId("other").value })}`);
-  const row = (/** @type {string} */ title, /** @type {string} */ value) => h("tr", null, h("th", { scope: "row" }, title), h("td.number", null, value));
-  const pair = (/** @type {any} */ one, /** @type {number} */ digits = 2) => (one.mean === null ? "–" : `${number(one.mean, digits)} ± ${number(one.sd, digits)}`);
-  fill(byId("agreement"), h("table", null, h("caption", null, `${setName()} and ${byId("other").value}, mean ± standard deviation`), h("tbody", null,
-    row("Instants that both finished", String(found.instants)), row("Vehicles of both", String(found.pairs)), row("Only in the first, only in the second", `${found.only_first}, ${found.only_second}`),
-    row("BEV IoU", pair(found.bev_iou)), row("3D IoU", pair(found.iou_3d)), row("Distance of centres, m", pair(found.ate_m)), row("Difference of headings, °", pair(found.aoe_deg, 1)),
-    row("Difference of visibility", pair(found.visibility)), row("Same class", percent(found.same_class)))));
-}
-
 function listen() {
   const on = (/** @type {string} */ id, /** @type {() => any} */ work) => byId(id).addEventListener("click", () => { timer.act(model.chosen); attempt(async () => work()); });
-  for (const [id, work] of /** @type {Array<[string, () => any]>} */ ([["before", () => step(-1)], ["after", () => step(1)], ["compare", compare], ["closer", lookCloser]])) on(id, work);
+  for (const [id, work] of /** @type {Array<[string, () => any]>} */ ([["before", () => step(-1)], ["after", () => step(1)], ["compare", () => showAgreement(setName(), byId("other").value)], ["closer", lookCloser]])) on(id, work);
   for (const [id, work] of /** @type {Array<[string, () => any]>} */ ([
     ["propose", takeProposals], ["new", () => setPlacing(!placing)], ["undo", () => model.undo()], ["redo", () => model.redo()], ["copy", copyOn], ["finish", finish], ["remove", remove],
     ["snap", snapToFit], ["ground", () => model.current && model.update({ box: grounded(model.current.box) })], ["reverse", turnAround], ["evaluate", evaluate],
@@ -352,14 +343,21 @@ function listen() {
   listenPlan();
 }
 
+/** The instant of this job nearest to a time, which an address may have from another job. @param {number} time */
+function nearest(time) {
+  return stored.times_ns.reduce((best, one) => (Math.abs(one - time) < Math.abs(best - time) ? one : best), stored.times_ns[0]);
+}
+
 async function loadList() {
   const set = setName(), [summary, suggested, all] = await Promise.all([
     get(`/v1/jobs/${jobId}/labels${query({ set })}`), get(`/v1/jobs/${jobId}/labels/suggestions${query({ set, count: SUGGESTED })}`), get(`/v1/jobs/${jobId}/labels/suggestions${query({ set, count: 500 })}`),
   ]);
-  labelled = new Map(summary.instants.map((/** @type {any} */ one) => [one.time_ns, one]));
+  const own = new Set(stored.times_ns), here = (/** @type {any} */ one) => own.has(one.time_ns), elsewhere = summary.instants.filter((/** @type {any} */ one) => !here(one)).length;
+  labelled = new Map(summary.instants.filter(here).map((/** @type {any} */ one) => [one.time_ns, one]));
+  byId("elsewhere").textContent = elsewhere ? `${elsewhere} more labelled instant${elsewhere === 1 ? " is" : "s are"} of another job of this footage, with other instants than this one's. They are kept, and shown and changed on that job's page.` : "";
   listed = suggested.map((/** @type {any} */ one) => one.time_ns);
   test = [...new Set([...all.map((/** @type {any} */ one) => one.time_ns), ...labelled.keys()])].sort((a, b) => a - b);
-  if (Number.isNaN(timeNs)) timeNs = Number(new URLSearchParams(location.search).get("time_ns") ?? listed[0] ?? test[0] ?? stored.times_ns[0]);
+  if (Number.isNaN(timeNs)) timeNs = nearest(Number(new URLSearchParams(location.search).get("time_ns") ?? listed[0] ?? test[0] ?? stored.times_ns[0]));
   showList();
 }
 
@@ -371,6 +369,7 @@ async function start() {
   if (!["rig", "frames", "split", "fits"].every((name) => made.has(name))) { fill(byId("nothing"), message("plain", "there is nothing to label yet", "Instants can be labelled once the stage “Fit 7DoF boxes to all views” has finished.")); return; }
   const [scene, found] = await Promise.all([made.scene(), get(`/v1/jobs/${jobId}/instants`)]);
   stored = found;
+  if (!stored.times_ns.length) { fill(byId("nothing"), message("plain", "there is no instant to label", "The job has found no time at which cameras recorded together; Preflight says when each did.")); return; }
   cameras = scene.cameras.map((/** @type {any} */ camera) => new Camera(camera));
   classes = scene.classes;
   colours = new Map(classes.map((one) => [one.name, one.colour]));
