@@ -19,6 +19,7 @@ from api.problems import documented
 from api.schemas import ArtifactOut, JobOut, ReportLinkOut
 from api.services import Services, ServicesDep
 from api.streams import STREAMS, BlocksResponse
+from wibam_core.adapters.glimpses import GlimpseRequest, ReviewedConflicts
 from wibam_core.adapters.results import ResultFile, archive_of, conflicts_csv
 from wibam_core.adapters.track_query import (
     TrackQuery,
@@ -157,23 +158,28 @@ def tracks(
     "/conflicts",
     summary="Conflicts between road users",
     dependencies=[ONLY_KNOWN_PARAMETERS],
-    responses={200: {"model": Conflicts, "content": {"text/csv": {}}}},
+    responses={200: {"model": Conflicts, "content": {"text/csv": {}, "application/pdf": {}}}, **documented(503)},
 )
 def conflicts(
     job_id: str,
     services: ServicesDep,
-    format: Literal["json", "csv"] = "json",
-    reviews: Annotated[bool, Query(description="in the CSV: columns with what people said of each")] = False,
+    format: Literal["json", "csv", "pdf"] = "json",
+    reviews: Annotated[bool, Query(description="in CSV and PDF: columns with what people said of each")] = False,
 ) -> Response:
     """Pairs of vehicles whose time to collision or post-encroachment time fell below the thresholds, with intervals."""
     job = services.jobs.job(job_id)
     document = services.results.read(job, catalogue.CONFLICTS)
     if format == "json":
         return Response(document.model_dump_json(), media_type="application/json")
-    headers = {"Content-Disposition": f'attachment; filename="{job.id}-conflicts.csv"'}
+    headers = {"Content-Disposition": f'attachment; filename="{job.id}-conflicts.{format}"'}
     stage = job.stage(catalogue.CONFLICTS.stage)
     said = services.reviews.reviews(job.id, stage.hash) if reviews and stage is not None else None
     verdicts = None if said is None else {one.conflict_id: (one.verdict.value, one.note) for one in said}
+    if format == "pdf":
+        about = f"Site {job.site.name} · {job.id}"
+        table = ReviewedConflicts(heading=job.name or job.id, about=about, conflicts=document, reviews=verdicts)
+        _, pdf = services.glimpses.look(GlimpseRequest(look="conflicts"), table.model_dump_json().encode())
+        return Response(pdf, media_type="application/pdf", headers=headers)
     return StreamingResponse(conflicts_csv(document, verdicts), media_type="text/csv; charset=utf-8", headers=headers)
 
 

@@ -9,6 +9,7 @@ import pytest
 
 from tests.finished import finished_job
 from tests.service import LiveApi
+from tests.unit.report.test_conflict_table import pages_of
 
 
 @pytest.fixture
@@ -36,6 +37,18 @@ def test_the_table_has_them(api: LiveApi, job: str) -> None:
     assert (row["conflict_id"], row["verdict"], row["note"]) == ("0", "confirmed", 'braked, "hard"')
     plain = api.http.get(f"/v1/jobs/{job}/conflicts", params={"format": "csv"}).text
     assert "verdict" not in plain
+
+
+def test_the_table_is_a_pdf_file_too(api: LiveApi, job: str) -> None:
+    """Made apart, in a process that reaches nothing."""
+    api.http.put(f"/v1/jobs/{job}/conflicts/0/review", json={"verdict": "confirmed", "note": "braked"})
+    answer = api.http.get(f"/v1/jobs/{job}/conflicts", params={"format": "pdf", "reviews": True})
+    assert answer.status_code == 200, answer.text
+    assert answer.headers["content-type"] == "application/pdf"
+    assert f'filename="{job}-conflicts.pdf"' in answer.headers["content-disposition"]
+    assert any("confirmed" in page and "braked" in page for page in pages_of(answer.content))
+    plain = api.http.get(f"/v1/jobs/{job}/conflicts", params={"format": "pdf"}).content
+    assert all("confirmed" not in page for page in pages_of(plain))
 
 
 def test_what_is_not_there_cannot_be_reviewed(api: LiveApi, job: str) -> None:

@@ -2,7 +2,7 @@
 
 An uploaded file is not to be trusted, so that a process of its own opens it, confined and for a few seconds. On
 standard output come a line of JSON, ``{"header": ...}`` or ``{"error": ...}`` (`WibamError.to_dict`), and then a file:
-a JPEG where a frame or a map was asked for, ONNX where a network.
+a JPEG where a frame or a map was asked for, ONNX where a network, PDF where a table.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from wibam_core.adapters.glimpses import ComparisonInputs, ForeignCalibration, GlimpseRequest
+from wibam_core.adapters.glimpses import ComparisonInputs, ForeignCalibration, GlimpseRequest, ReviewedConflicts
 from wibam_core.errors import InputError, WibamError
 from wibam_core.formats.model_card import read_card
 from wibam_core.video.seeking import frames_from, read_header
@@ -37,6 +37,8 @@ def main(request: GlimpseRequest) -> tuple[dict[str, object], bytes]:
         return _map(request)
     if request.look == "calibration":
         return _calibration(ForeignCalibration.model_validate_json(sys.stdin.buffer.read())), b""
+    if request.look == "conflicts":
+        return _conflicts(ReviewedConflicts.model_validate_json(sys.stdin.buffer.read()))
     if request.comparison is not None:
         return _comparison(request.comparison), b""
     if request.look == "header":
@@ -109,6 +111,13 @@ def _comparison(inputs: ComparisonInputs) -> dict[str, object]:
         inputs.cautions,
     )
     return compared.model_dump(mode="json")
+
+
+def _conflicts(given: ReviewedConflicts) -> tuple[dict[str, object], bytes]:
+    """A table as PDF."""
+    from wibam_core.report.conflict_table import conflict_table  # matplotlib takes a second to import
+
+    return {}, conflict_table(given.heading, given.about, given.conflicts, given.reviews)
 
 
 def _map(request: GlimpseRequest) -> tuple[dict[str, object], bytes]:

@@ -8,6 +8,7 @@ import subprocess
 import sys
 import threading
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import Any, Literal
 
 from pydantic import BaseModel, ConfigDict
@@ -16,16 +17,17 @@ import wibam_core
 from wibam_core.adapters import confine
 from wibam_core.adapters.system_files import system_files
 from wibam_core.config import EvaluateConfig
+from wibam_core.documents.conflicts import Conflicts
 from wibam_core.errors import InputError, InvalidWeights, ServiceUnavailable, UnreadableVideo, WibamError
 from wibam_core.site import Origin, SignalRegion, SiteCamera
 
 _INHERITED = ("PATH", "LANG", "LC_ALL", "TZ", "LD_LIBRARY_PATH", "VIRTUAL_ENV")
 
-Look = Literal["header", "frame", "signals", "network", "map", "comparison", "calibration"]
+Look = Literal["header", "frame", "signals", "network", "map", "comparison", "calibration", "conflicts"]
 
 #: Looks that are given so many times as long. Who looks at a network imports torch first, which takes seconds, on a
 #: busy machine many; who compares two goes through all that they found.
-_SLOWER, _TIMES_SLOWER = ("network", "comparison"), 4
+_SLOWER, _TIMES_SLOWER = ("network", "comparison", "conflicts"), 4
 
 #: What to do where a look takes too long.
 _TOO_SLOW: dict[Look, str] = {
@@ -36,11 +38,12 @@ _TOO_SLOW: dict[Look, str] = {
     "map": "Send a smaller picture, of the intersection alone.",
     "comparison": "Try again later.",
     "calibration": "Send those of one camera alone.",
+    "conflicts": "Take the table as CSV.",
 }
 
 #: GiB that a look may ask for. A picture of `map_pictures.MOST_PIXELS` takes up to 1.8. Those that run networks ask for
 #: more than they use.
-_MEMORY_GB = {"map": 4, "calibration": 4}
+_MEMORY_GB = {"map": 4, "calibration": 4, "conflicts": 4}
 
 
 class ComparisonInputs(BaseModel):
@@ -98,13 +101,31 @@ class ForeignCalibration(BaseModel):
     origin: Origin | None = None
 
 
+class ReviewedConflicts(BaseModel):
+    """A table of conflicts that is to become a PDF file (`wibam_core.report.conflict_table`).
+
+    Attributes:
+        heading: the name of the job. about: what else tells which it is.
+        conflicts: of the job.
+        reviews: conflict id -> verdict and note; None for a table without them.
+    """
+
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+    heading: str
+    about: str
+    conflicts: Conflicts
+    reviews: dict[int, tuple[str, str]] | None
+
+
 class GlimpseRequest(BaseModel):
     """What to look for.
 
     Attributes:
         look: "header", the "frame" at a time, or the "signals" of a stretch; of a file of weights the "network"; of a
             picture from above the "map"; of two networks' jobs their "comparison"; of files on standard input
-            (`ForeignCalibration`) the "calibration".
+            (`ForeignCalibration`) the "calibration"; of `ReviewedConflicts` on standard input their "conflicts" as a
+            table, which holds no file's but users' words.
         path: of the file, the service's own; None: there is none.
         start_ns: on the recording's clock. duration_ns: of the stretch.
         width_px: the frame is no wider.
@@ -160,18 +181,20 @@ class Glimpses:
         patience_s = self._patience_s * (_TIMES_SLOWER if request.look in _SLOWER else 1)
         program = [sys.executable, "-P", "-m", "wibam_core.adapters.glimpse", request.model_dump_json()]
         try:
-            done = subprocess.run(
-                confined(request, program),
-                input=given,
-                capture_output=True,
-                timeout=patience_s,
-                env=_environment(request),
-                check=False,
-            )
+            with TemporaryDirectory(prefix="wibam-look-") as own:  # matplotlib insists on a folder that it may write to
+                done = subprocess.run(
+                    confined(request, program, own),
+                    input=given,
+                    capture_output=True,
+                    timeout=patience_s,
+                    env={**_environment(request), "MPLCONFIGDIR": own},
+                    check=False,
+                )
         except subprocess.TimeoutExpired as error:
             late = {
                 "calibration": "the files were not read",
                 "comparison": "the two networks were not compared",
+                "conflicts": "the table was not made",
             }.get(request.look, "the file was not read")
             raise ServiceUnavailable(f"{late} within {patience_s:g} s", hint=_TOO_SLOW[request.look]) from error
         finally:
@@ -188,6 +211,8 @@ class Glimpses:
                 ) from None
             if request.look == "comparison":
                 raise InputError("the two networks could not be compared", hint="Restart their jobs.") from None
+            if request.look == "conflicts":
+                raise ServiceUnavailable("the table could not be made", hint=_TOO_SLOW["conflicts"]) from None
             if request.look == "map":
                 raise InputError(
                     "the picture could not be decoded", hint="Save it as PNG or JPEG, of the intersection alone."
@@ -200,12 +225,13 @@ class Glimpses:
         return answer["header"], rest
 
 
-def confined(request: GlimpseRequest, program: list[str]) -> list[str]:
-    """A command that runs a program with no more rights than a look needs."""
+def confined(request: GlimpseRequest, program: list[str], own: str | None = None) -> list[str]:
+    """A command that runs a program with no more rights than a look needs; ``own`` is a folder that it may write to."""
     shim = [sys.executable, "-I", "-S", confine.__file__, "--parent", str(os.getpid()), "--nice", "5"]
     reads = [*system_files(), *(f"--read={path.resolve()}" for path in request.reads)]
+    writes = [] if own is None or request.look != "conflicts" else [f"--write={own}"]
     memory = ["--memory-gb", str(_MEMORY_GB[request.look])] if request.look in _MEMORY_GB else []
-    return [*shim, "--offline", "--expendable", "--limited", *memory, *reads, "--", *program]
+    return [*shim, "--offline", "--expendable", "--limited", *memory, *reads, *writes, "--", *program]
 
 
 def _environment(request: GlimpseRequest) -> dict[str, str]:

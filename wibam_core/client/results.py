@@ -57,8 +57,10 @@ class ResultRequests(Requests):
         params = {**_track_params(query), "format": format}
         return self._connection.download(f"/v1/jobs/{job_id}/tracks", target, params)
 
-    def download_conflicts(self, job_id: str, target: Path, format: str = "csv") -> Path:
-        return self._connection.download(f"/v1/jobs/{job_id}/conflicts", target, {"format": format})
+    def download_conflicts(self, job_id: str, target: Path, format: str = "csv", *, reviews: bool = False) -> Path:
+        """As a "csv", "pdf" or "json" file; CSV and PDF with what people said of each where ``reviews`` says so."""
+        params = {"format": format, **({"reviews": "true"} if reviews else {})}
+        return self._connection.download(f"/v1/jobs/{job_id}/conflicts", target, params)
 
     def download_model(self, job_id: str, target: Path, format: str = "safetensors") -> Path:
         """The fine-tuned model as a "safetensors" or "onnx" file."""

@@ -45,9 +45,14 @@ def bgr(colour: str) -> tuple[int, int, int]:
     return blue, green, red
 
 
+def printable(text: str) -> str:
+    """A user's text without control characters."""
+    return "".join(c if c.isprintable() else "\N{REPLACEMENT CHARACTER}" for c in text)
+
+
 def plain(text: str) -> str:
     """A user's text as matplotlib may show it: no formula between dollar signs, no control characters."""
-    return "".join(c if c.isprintable() else "\N{REPLACEMENT CHARACTER}" for c in text).replace("$", r"\$")
+    return printable(text).replace("$", r"\$")
 
 
 def new_figure(width_in: float = 8.6, height_in: float = 3.4, *, fixed_aspect: bool = False) -> Figure:
