@@ -35,6 +35,8 @@ class TestOpenApi:
         for path, method, operation in self.operations(document):
             for status, response in operation["responses"].items():
                 if status[0] in "45":
+                    if "$ref" in response:
+                        response = document["components"]["responses"][response["$ref"].rpartition("/")[2]]
                     assert list(response["content"]) == ["application/problem+json"], f"{method} {path} {status}"
 
     def test_every_reference_leads_somewhere(self, document: dict[str, Any]) -> None:

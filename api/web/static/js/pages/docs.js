@@ -13,15 +13,15 @@ function kind(schema) {
 /** @param {Object<string, any>|undefined} content */
 const bodies = (content) => Object.entries(content ?? {}).map(([type, one]) => `${type} ${kind(one.schema)}`).join(", ");
 
-/** @param {string} path @param {string} method @param {any} operation */
-function operationOf(path, method, operation) {
+/** @param {string} path @param {string} method @param {any} operation @param {Object<string, any>} shared answers that several operations have */
+function operationOf(path, method, operation, shared) {
   const row = (/** @type {string[]} */ cells) => h("tr", null, cells.map((cell) => h("td", null, cell)));
   return h("details.card", null, h("summary", null, h("strong", null, method.toUpperCase()), " ", h("code", null, path), " ", h("span.note", null, operation.summary ?? "")),
     h("p", null, operation.description ?? ""),
     h("div.scroll", { tabindex: 0, role: "region", "aria-label": `${method} ${path}` }, h("table", null, h("thead", null, h("tr", null, ["Name", "In", "Type", "Meaning"].map((title) => h("th", { scope: "col" }, title)))), h("tbody", null,
       (operation.parameters ?? []).map((/** @type {any} */ one) => row([one.name + (one.required ? " *" : ""), one.in, kind(one.schema), one.description ?? ""])),
       operation.requestBody ? row(["body", "", bodies(operation.requestBody.content), ""]) : null,
-      Object.entries(operation.responses).map(([status, answer]) => row([status, "answer", bodies(answer.content), answer.description]))))));
+      Object.entries(operation.responses).map(([status, given]) => { const answer = given.$ref ? shared[given.$ref.split("/").pop()] : given; return row([status, "answer", bodies(answer.content), answer.description]); })))));
 }
 
 attempt(async () => {
@@ -33,7 +33,7 @@ attempt(async () => {
   for (const [path, operations] of Object.entries(api.paths)) {
     for (const [method, operation] of Object.entries(operations)) {
       const tag = operation.tags?.[0] ?? "other";
-      sections.set(tag, [...(sections.get(tag) ?? []), operationOf(path, method, operation)]);
+      sections.set(tag, [...(sections.get(tag) ?? []), operationOf(path, method, operation, api.components.responses)]);
     }
   }
   const schemas = Object.entries(api.components.schemas).map(([name, schema]) => h("details.card", null, h("summary", null, h("code", null, name)), h("pre.log", { tabindex: 0, role: "region", "aria-label": name }, JSON.stringify(schema, null, 1))));
