@@ -68,6 +68,19 @@ class TestFilterIsTheApis:
         assert 0 < len(found["kept"]) <= 100
 
 
+def test_the_history_of_a_road_user_has_seven_degrees_of_freedom_with_their_intervals(
+    signed_in: Visit, job: str
+) -> None:
+    page = signed_in.open(f"/jobs/{job}/player")
+    page.get_by_label("Visible now").select_option("1")
+    history = page.get_by_role("region", name="History of track 1")
+    titles = ["time", "x, m", "y, m", "z, m", "length, m", "width, m", "height, m", "yaw, °", "speed, m/s"]
+    assert history.locator("th").all_inner_texts() == titles
+    row = history.locator("tbody tr").nth(10).locator("td").all_inner_texts()
+    sizes = ["4.50 ± 0.20", "1.80 ± 0.20", "1.50 ± 0.20"]  # 1.96 standard deviations of 0.1
+    assert row == ["0:01.0", "10.00 ± 0.20", "0.00 ± 0.20", "0.75 ± 0.20", *sizes, "0.0 ± 11.2", "10.0"]
+
+
 def test_boxes_move_along_their_tracks_to_when_a_frame_was_exposed(signed_in: Visit) -> None:
     moved = """async ([states, times]) => {
       const { Tracks } = await import("/static/js/trackdata.js");

@@ -21,15 +21,15 @@ export function percent(share) {
 /** @param {number|null|undefined} seconds */
 export function duration(seconds) {
   if (seconds === null || seconds === undefined) return NONE;
-  if (seconds < 60) return `${seconds < 10 ? seconds.toFixed(1) : Math.round(seconds)} s`;
-  const minutes = Math.floor(seconds / 60), rest = Math.round(seconds % 60);
+  if (seconds < 59.5) return `${seconds < 10 ? seconds.toFixed(1) : Math.round(seconds)} s`;
+  const whole = Math.round(seconds), minutes = Math.floor(whole / 60), rest = whole % 60;
   if (minutes < 60) return `${minutes} min ${String(rest).padStart(2, "0")} s`;
   return `${Math.floor(minutes / 60)} h ${String(minutes % 60).padStart(2, "0")} min`;
 }
 
 /** Seconds as m:ss.t. @param {number} seconds */
 export function clock(seconds) {
-  const sign = seconds < 0 ? "−" : "", whole = Math.abs(seconds), minutes = Math.floor(whole / 60);
+  const sign = seconds < 0 ? "−" : "", whole = Math.round(Math.abs(seconds) * 10) / 10, minutes = Math.floor(whole / 60);
   return `${sign}${minutes}:${(whole - 60 * minutes).toFixed(1).padStart(4, "0")}`;
 }
 

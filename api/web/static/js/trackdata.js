@@ -8,7 +8,8 @@ const PAGE = 50_000;
  * @property {number} time_ns @property {number} track_id @property {string} class
  * @property {number} x_m @property {number} y_m @property {number} z_m
  * @property {number} length_m @property {number} width_m @property {number} height_m @property {number} yaw_rad
- * @property {number} speed_mps @property {number|null} sd_x_m @property {number|null} sd_y_m @property {number|null} sd_yaw_rad @property {number|null} sd_length_m
+ * @property {number} speed_mps @property {number|null} sd_x_m @property {number|null} sd_y_m @property {number|null} sd_z_m
+ * @property {number|null} sd_length_m @property {number|null} sd_width_m @property {number|null} sd_height_m @property {number|null} sd_yaw_rad
  */
 
 /**

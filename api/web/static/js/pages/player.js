@@ -9,6 +9,7 @@ import { layMap } from "../maplayer.js";
 import { groundInView, Plan } from "../plan.js";
 import { colourOf, drawFrame, drawRoad } from "../playerdraw.js";
 import { Camera, footprint } from "../projection.js";
+import { historyOf } from "../trackhistory.js";
 import { boxOf, inside, parameters, passes, Tracks } from "../trackdata.js";
 
 const FRAME_PX = 480, AHEAD = 12, NEAR_NS = 120_000_000, KEPT_MEASURES = 600;
@@ -139,12 +140,9 @@ function choose(trackId) {
   chosen = trackId === null ? new Set() : new Set([trackId]);
   if (trackId === null) { fill(byId("chosen"), h("p.note", null, "Nothing. Click a vehicle in the plan or in a view, or choose one here:")); redraw(); return; }
   const track = tracks.byTrack.get(trackId) ?? [];
-  const pm = (/** @type {number} */ value, /** @type {number|null} */ sd, /** @type {number} */ digits) => `${number(value, digits)}${sd === null ? "" : ` ± ${number(1.96 * sd, digits)}`}`;
   fill(byId("chosen"), h("p", null, h("strong", null, `Track ${trackId}, ${track[0]?.class}`), ` · ${clock(track[0].time_ns / 1e9)} to ${clock(track[track.length - 1].time_ns / 1e9)} · fastest ${number(Math.max(...track.map((state) => state.speed_mps)), 1)} m/s `,
     h("a", { href: `/v1/jobs/${jobId}/tracks${query({ format: "csv", track_id: trackId })}`, download: true }, "CSV")),
-  h("div.scroll.history", { tabindex: 0, role: "region", "aria-label": `History of track ${trackId}` }, h("table", null, h("caption", null, "With 95 % intervals"), h("thead", null, h("tr", null, ["time", "x, m", "y, m", "length, m", "yaw, °", "speed, m/s"].map((title) => h("th.number", { scope: "col" }, title)))),
-    h("tbody", null, track.map((state) => h("tr", null, h("td.number", null, clock(state.time_ns / 1e9)), h("td.number", null, pm(state.x_m, state.sd_x_m, 2)), h("td.number", null, pm(state.y_m, state.sd_y_m, 2)), h("td.number", null, pm(state.length_m, state.sd_length_m, 2)),
-      h("td.number", null, pm((state.yaw_rad * 180) / Math.PI, state.sd_yaw_rad === null ? null : (state.sd_yaw_rad * 180) / Math.PI, 1)), h("td.number", null, number(state.speed_mps, 1))))))));
+  h("div.scroll.history", { tabindex: 0, role: "region", "aria-label": `History of track ${trackId}` }, historyOf(track)));
   say(`Track ${trackId}, ${track[0]?.class}, is chosen.`);
   redraw();
 }
