@@ -15,7 +15,7 @@ export class CanvasView {
   constructor(canvas) {
     this.canvas = canvas;
     this.pending = false;
-    /** Called where one clicks, in the view's coordinates. @type {(point: number[], event: PointerEvent) => void} */
+    /** Called where one clicks, in the view's coordinates. @type {(point: number[], event: PointerEvent|KeyboardEvent) => void} */
     this.onclick = () => {};
     /** Called where a drag may begin; says whether it is taken, or else moves the view. @type {(point: number[], event: PointerEvent) => boolean} */
     this.ondown = () => false;
@@ -63,7 +63,27 @@ export class CanvasView {
 
   drawNow() {
     const context = this.canvas.getContext("2d");
-    if (context) this.paint(context);
+    if (!context) return;
+    this.paint(context);
+    if (this.canvas.matches(":focus-visible")) this.#aim(context);
+  }
+
+  /** A cross where Enter clicks, for whoever came here by keys. @param {CanvasRenderingContext2D} context */
+  #aim(context) {
+    const [x, y] = this.cursor(), reach = 12 * this.unit;
+    context.beginPath();
+    context.moveTo(x - reach, y); context.lineTo(x + reach, y);
+    context.moveTo(x, y - reach); context.lineTo(x, y + reach);
+    for (const [colour, width] of /** @type {Array<[string, number]>} */ ([[token("--sheet"), 4], [token("--ink"), 1.5]])) {
+      context.strokeStyle = colour;
+      context.lineWidth = width * this.unit;
+      context.stroke();
+    }
+  }
+
+  /** Where Enter clicks, canvas px. @returns {number[]} */
+  cursor() {
+    return [this.canvas.width / 2, this.canvas.height / 2];
   }
 
   /** A way through points. @param {CanvasRenderingContext2D} context @param {number[][]} points @param {boolean} [closed] */
@@ -104,10 +124,9 @@ export class CanvasView {
     return [((event.clientX - box.left) * this.canvas.width) / box.width, ((event.clientY - box.top) * this.canvas.height) / box.height];
   }
 
-  /** What keys do. @returns {Object<string, () => void>} */
+  /** What keys do. @returns {Object<string, (event: any) => void>} */
   keys() {
-    const middle = [this.canvas.width / 2, this.canvas.height / 2];
-    return { "+": () => this.zoom(middle, 1.25), "-": () => this.zoom(middle, 0.8) };
+    return { "+": () => this.zoom(this.cursor(), 1.25), "-": () => this.zoom(this.cursor(), 0.8), Enter: (event) => this.onclick(this.fromCanvas(this.cursor()), event) };
   }
 
   #listen() {
@@ -140,10 +159,12 @@ export class CanvasView {
     }, { passive: false });
     canvas.addEventListener("keydown", (event) => {
       const work = this.keys()[event.key];
-      if (!work || event.ctrlKey || event.metaKey || event.altKey) return;
+      if (!work || event.defaultPrevented || event.ctrlKey || event.metaKey || event.altKey) return;
       event.preventDefault();
       event.stopPropagation();
-      work();
+      work(event);
+      this.redraw();
     });
+    for (const kind of ["focus", "blur"]) canvas.addEventListener(kind, () => this.redraw());
   }
 }

@@ -15,6 +15,8 @@ export class FrameView extends CanvasView {
     super(canvas);
     this.content = draw;
     this.image = /** @type {CanvasImageSource|null} */ (null);
+    /** Where Enter clicks, as shares of the canvas. */
+    this.aimed = [0.5, 0.5];
     this.resize(width, height);
   }
 
@@ -43,6 +45,24 @@ export class FrameView extends CanvasView {
   /** @param {number[]} at @returns {number[]} */
   fromCanvas(at) {
     return [at[0] / this.scale + this.origin[0] - 0.5, at[1] / this.scale + this.origin[1] - 0.5];
+  }
+
+  cursor() {
+    return [this.aimed[0] * this.canvas.width, this.aimed[1] * this.canvas.height];
+  }
+
+  /** A whole frame cannot be moved under the cross, as a plan can: the cross moves, and the picture where it meets the border. */
+  keys() {
+    const step = (/** @type {any} */ event) => (event.shiftKey ? 0.05 : 0.005);
+    const aim = (/** @type {number} */ right, /** @type {number} */ down) => {
+      const wanted = [this.aimed[0] + right, this.aimed[1] + down];
+      this.aimed = wanted.map((share) => Math.min(1, Math.max(0, share)));
+      this.pan((this.aimed[0] - wanted[0]) * this.canvas.width, (this.aimed[1] - wanted[1]) * this.canvas.height);
+    };
+    return {
+      ...super.keys(), ArrowLeft: (/** @type {any} */ event) => aim(-step(event), 0), ArrowRight: (/** @type {any} */ event) => aim(step(event), 0),
+      ArrowUp: (/** @type {any} */ event) => aim(0, -step(event)), ArrowDown: (/** @type {any} */ event) => aim(0, step(event)),
+    };
   }
 
   /** @param {CanvasRenderingContext2D} context */

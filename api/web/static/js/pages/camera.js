@@ -141,7 +141,9 @@ async function save() {
 /** @param {KeyboardEvent} event */
 function keys(event) {
   const by = event.shiftKey ? 5 : 0.5, moves = /** @type {Object<string, number[]>} */ ({ ArrowLeft: [-by, 0], ArrowRight: [by, 0], ArrowUp: [0, -by], ArrowDown: [0, by] });
-  if (moves[event.key] && panel && panel.selected >= 0) { event.preventDefault(); panel.nudge(moves[event.key][0], moves[event.key][1]); }
+  if (!panel || panel.selected < 0 || mode() !== "points") return;
+  if (moves[event.key]) { event.preventDefault(); panel.nudge(moves[event.key][0], moves[event.key][1]); }
+  if (event.key === "Escape") { panel.selected = -1; panel.mark(); }
 }
 
 async function start() {
@@ -174,7 +176,7 @@ async function start() {
   view.onup = () => { if (mode() === "signals") { signals?.end(); view.redraw(); } };
   view.onclick = (pixel) => { if (mode() === "measure") measure(pixel); else if (panel && panel.kind !== "matrices") panel.click(pixel); };
   plan.onclick = (world) => { if (!map.click(world) && panel) panel.place(world); };
-  byId("frame").addEventListener("keydown", keys);
+  byId("frame").addEventListener("keydown", keys, { capture: true }); // before the view's own: a chosen point is moved, else the cross
   byId("time").addEventListener("input", () => attempt(showFrame));
   for (const [id, by] of [["earlier", -1], ["later", 1]]) byId(id).addEventListener("click", () => { byId("time").value = now() + Number(by); attempt(showFrame); });
   byId("calibration-files").addEventListener("change", () => attempt(readFiles));
