@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import re
 
+import numpy as np
 import pytest
+from PIL import Image
 
 from tests.browser.conftest import Visit
 from tests.labelled_job import TIMES_NS, labelled_job
@@ -51,3 +53,10 @@ def test_what_is_shown_is_drawn_and_stands_in_the_table(signed_in: Visit, job: s
     assert page.get_by_label("Seen by").locator("option").all_inner_texts() == list(tiny_rig())
     page.get_by_label("Show").select_option("association")
     signed_in.picture("instants")
+    with page.expect_download() as download:
+        page.get_by_role("button", name="Save the plan and all views as PNG").click()
+    assert download.value.suggested_filename == "instant-0-00.0-association.png"
+    saved = Image.open(download.value.path())
+    assert saved.size == (2000, 760), "the plan of 1000 px, and as much again for the views"
+    beside = np.asarray(saved.convert("RGB"))[:, 1000:]
+    assert beside[60, 250].tolist() != beside[700, 250].tolist(), "views above, nothing beneath them"

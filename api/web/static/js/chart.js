@@ -154,6 +154,24 @@ export function save(name, blob) {
   setTimeout(() => URL.revokeObjectURL(link.getAttribute("href") ?? ""), 10_000);
 }
 
+/**
+ * Save pictures as one PNG file: the first at the left, the others beside it, two in a row.
+ * @param {string} name @param {HTMLCanvasElement[]} canvases
+ */
+export function saveCanvases(name, canvases) {
+  const [first, ...others] = canvases, all = document.createElement("canvas"), context = all.getContext("2d");
+  const width = first.width / 2, heights = others.map((one) => (one.height * width) / one.width);
+  const rows = heights.flatMap((height, index) => (index % 2 ? [] : [Math.max(height, heights[index + 1] ?? 0)]));
+  all.width = others.length ? 2 * first.width : first.width;
+  all.height = Math.max(first.height, Math.ceil(rows.reduce((sum, height) => sum + height, 0)));
+  if (!context) return;
+  context.fillStyle = getComputedStyle(document.documentElement).getPropertyValue("--sheet").trim();
+  context.fillRect(0, 0, all.width, all.height);
+  context.drawImage(first, 0, 0);
+  others.forEach((one, index) => context.drawImage(one, first.width + (index % 2) * width, rows.slice(0, Math.floor(index / 2)).reduce((sum, height) => sum + height, 0), width, heights[index]));
+  all.toBlob((blob) => { if (blob) save(name, blob); }, "image/png");
+}
+
 const INLINED = ["fill", "fill-opacity", "stroke", "stroke-width", "stroke-dasharray", "font-family", "font-size", "font-weight", "opacity", "text-anchor"];
 
 /** A drawing that looks the same without our styles. @param {SVGElement} svg @returns {Blob} */

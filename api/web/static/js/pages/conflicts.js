@@ -2,7 +2,7 @@
 import { get, getAll, request, Results, send } from "../api.js";
 import { attempt, byId, fill, h, message, say } from "../dom.js";
 import { clock, number, percent, words } from "../format.js";
-import { figure, plot } from "../chart.js";
+import { figure, plot, save, saveCanvases, toCsv } from "../chart.js";
 import { drawHeat } from "../heatmap.js";
 import { jobId, readOnly, showTabs, showTitle } from "../jobtabs.js";
 import { layMap } from "../maplayer.js";
@@ -110,12 +110,13 @@ attempt(async () => {
   if (scene) attempt(() => layMap(plan, `/v1/jobs/${jobId}/map?version=${scene.map?.version}`, scene.map));
   for (const type of new Set(conflicts.map((one) => one.type))) byId("type").append(h("option", { value: type }, words(type)));
   for (const name of new Set(conflicts.flatMap((one) => one.classes))) byId("class").append(h("option", null, name));
-  byId("csv").href = `/v1/jobs/${jobId}/conflicts?format=csv&reviews=true`;
-  byId("csv").setAttribute("download", "");
+  for (const format of ["csv", "pdf"]) byId(format).href = `/v1/jobs/${jobId}/conflicts?format=${format}&reviews=true`;
   byId("found").hidden = false;
   byId("filter").addEventListener("submit", (/** @type {Event} */ event) => event.preventDefault());
   byId("filter").addEventListener("input", show);
   byId("print").addEventListener("click", () => window.print());
+  byId("heat-csv").addEventListener("click", () => save("where-they-are.csv", new Blob([toCsv(["conflict_id", "type", "x_m", "y_m"], shown.map((one) => [one.conflict_id, one.type, one.x_m, one.y_m]))], { type: "text/csv" })));
+  byId("heat-png").addEventListener("click", () => saveCanvases("where-they-are.png", [byId("heat")]));
   plan.onclick = (point) => { const near = shown.find((one) => Math.hypot(one.x_m - point[0], one.y_m - point[1]) < 12 / plan.pxPerM); if (near) location.assign(player(near)); };
   plan.fit([...conflicts.map((one) => [one.x_m, one.y_m]), ...cameras.map((camera) => camera.centre)], 0.12);
   show();

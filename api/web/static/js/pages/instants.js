@@ -2,6 +2,7 @@
 import { get, Results } from "../api.js";
 import { attempt, byId, fill, h, message, say } from "../dom.js";
 import { clock, number } from "../format.js";
+import { saveCanvases } from "../chart.js";
 import { FrameCache } from "../frames.js";
 import { drawInstantPlan, drawInstantView } from "../instantdraw.js";
 import { jobId, showTabs, showTitle } from "../jobtabs.js";
@@ -102,6 +103,7 @@ function listen() {
   byId("back").addEventListener("click", () => step(-1));
   byId("forward").addEventListener("click", () => step(1));
   byId("time").addEventListener("input", () => attempt(() => show(Number(byId("time").value))));
+  byId("picture").addEventListener("click", () => saveCanvases(`instant-${clock(times[index] / 1e9).replace(":", "-")}-${byId("show").value}.png`, [byId("plan"), ...canvases.values()]));
   byId("test").addEventListener("click", () => attempt(() => show(times.findIndex((time) => parts.get(time) === "test"))));
   byId("vehicle").addEventListener("change", () => { chosen = byId("vehicle").value === "" ? null : Number(byId("vehicle").value); draw(); });
   for (const id of ["show", "source"]) byId(id).addEventListener("change", () => { chosen = null; showVehicles(); draw(); });
