@@ -119,7 +119,7 @@ def visit(browser: Browser, url: str, **options: Any) -> Iterator[Visit]:
     """A tab of its own, with its own cookies."""
     with browser.new_context(viewport={"width": 1280, "height": 860}, **options) as context:
         page = context.new_page()
-        page.set_default_timeout(60_000)
+        page.set_default_timeout(300_000)
         found = Visit(page, url)
         page.on("console", lambda m: found.complaints.append(m.text) if m.type in ("error", "warning") else None)
         page.on("pageerror", lambda error: found.complaints.append(str(error)))

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 import struct
+from base64 import b64encode
 from contextlib import ExitStack
 from hashlib import sha256
 from pathlib import Path
@@ -21,6 +22,15 @@ from tests.unit.formats.test_map_pictures import KEYS, SCALE, TIEPOINT, keys, wr
 from wibam_core.geometry.camera import Camera
 from wibam_core.stages.graph import STAGES
 
+#: Files as a browser gives them where they are dropped, of names and contents.
+DROPPED = """(files) => {
+  const all = new DataTransfer();
+  for (const [name, data] of files) {
+    const bytes = Uint8Array.from(atob(data), (letter) => letter.charCodeAt(0));
+    all.items.add(new File([bytes], name, { type: "video/mp4" }));
+  }
+  return all;
+}"""
 WORLD = [(-8, -6, 0), (9, -5, 0), (7, 8, 0), (-6, 9, 0), (0, 1, 0), (3, -2, 0), (-4, 2, 0)]
 
 
@@ -53,7 +63,9 @@ def test_recordings_go_to_the_cameras_that_their_names_say(
 ) -> None:
     site = make_site(signed_in, "two cameras")
     page = signed_in.page
-    page.locator("input#files").set_input_files(recordings)
+    dropped = page.evaluate_handle(DROPPED, [[one.name, b64encode(one.read_bytes()).decode()] for one in recordings])
+    page.dispatch_event("#drop", "dragover", {"dataTransfer": dropped})
+    page.dispatch_event("#drop", "drop", {"dataTransfer": dropped})
     page.locator("#queue li", has_text="done").nth(1).wait_for()
     found = {item["camera"]: item["filename"] for item in api.http.get(f"/v1/sites/{site}/recordings").json()}
     assert found == {"north": "GOPRO_north_1.mp4", "south": "GOPRO_south_1.mp4"}
@@ -172,6 +184,60 @@ def test_a_camera_is_calibrated_by_clicks_and_a_job_is_started(
     page.wait_for_url(re.compile("/jobs/job_"))
     job = api.http.get(f"/v1/jobs/{page.url.rpartition('/')[2]}").json()
     assert job["options"] == {"finetune": {"steps": 40}}
+
+
+def test_points_are_set_by_keys_alone(signed_in: Visit, recordings: list[Path]) -> None:
+    """In the frame a cross is moved, in the plan the plan beneath it; Enter clicks. The first press comes before any
+    point is chosen, later arrow keys move the point."""
+    make_site(signed_in, "keys")
+    page = signed_in.page
+    page.locator("input#files").set_input_files(recordings)
+    page.get_by_text("640 × 360 px").nth(1).wait_for()
+    page.get_by_role("link", name="Calibrate and signals").first.click()
+    page.get_by_text("0 of at least 4 points").wait_for()
+
+    def value(name: str) -> float:
+        return float(page.get_by_label(f"{name} of point 1", exact=True).input_value())
+
+    page.locator("#frame").focus()
+    page.keyboard.press("Shift+ArrowRight")
+    page.keyboard.press("ArrowDown")
+    page.keyboard.press("Enter")
+    assert (value("u"), value("v")) == pytest.approx((0.55 * 640 - 0.5, 0.505 * 360 - 0.5), abs=0.01)
+    assert page.evaluate("document.activeElement.dataset.field") == "x", "whoever has clicked goes on typing"
+    page.locator("#frame").focus()
+    page.keyboard.press("ArrowLeft")
+    assert value("u") == pytest.approx(0.55 * 640 - 1.0, abs=0.01), "the chosen point is moved"
+    page.locator("#plan").focus()
+    page.keyboard.press("ArrowRight")
+    page.keyboard.press("Enter")
+    x = value("x")
+    page.keyboard.press("ArrowRight")
+    page.keyboard.press("Enter")
+    assert value("x") > x > 0
+    page.locator("#frame").focus()
+    page.keyboard.press("Escape")
+    page.keyboard.press("Enter")
+    page.locator("#points tbody tr").nth(1).wait_for()
+
+
+def test_points_that_give_no_camera_are_said_and_the_console_stays_silent(signed_in: Visit, camera: Camera) -> None:
+    """Four on a line, as one meets them on the way; a fifth beside it helps. (`signed_in` looks at the console.)"""
+    site = make_site(signed_in, "on a line")
+    page = signed_in.page
+    page.get_by_role("link", name="Calibrate and signals").first.click()
+    page.get_by_text("0 of at least 4 points").wait_for()
+    page.locator("summary", has_text="Paste points").click()
+    world = np.array([[x, x, 0.0] for x in (-6, -2, 3, 8)])
+    pixels = camera.project(world)[0] * 3 + 1  # the size that a camera without a recording has
+    page.get_by_label(re.compile("^Lines of u, v")).fill(
+        "\n".join(f"{u:.2f}, {v:.2f}, {x}, {y}, {z}" for (u, v), (x, y, z) in zip(pixels, world, strict=True))
+    )
+    page.get_by_role("button", name="Take these").click()
+    page.locator("#solution .message.bad").wait_for()
+    page.get_by_role("button", name="Save").click()
+    page.get_by_text("saved", exact=True).wait_for()
+    signed_in.open(f"/sites/{site}").get_by_text("cannot be solved").wait_for()
 
 
 def test_what_a_region_shows_stays_when_another_is_drawn(signed_in: Visit, recordings: list[Path]) -> None:

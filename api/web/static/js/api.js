@@ -49,6 +49,9 @@ async function problemOf(response) {
   try {
     said = await response.json();
   } catch { /* a proxy in between may answer without a problem document */ }
+  if (response.status === 401 && "readOnly" in document.body.dataset) {
+    return new Problem("the link to this job works no more", { code: "unauthorised", status: 401, hint: "Links end after some time: ask whoever sent it for a new one. What stands here stays." });
+  }
   if (response.status === 401 && !location.pathname.startsWith("/sign-in")) {
     return new Problem("you are no longer signed in", { code: "unauthorised", status: 401, hint: "Sign in again in another tab; what stands here stays." });
   }
