@@ -52,9 +52,10 @@ def _what_changed(before: DetectorFigures, after: DetectorFigures) -> str:
 def _verdict(before: DetectorFigures, after: DetectorFigures, test: Significance | None) -> str:
     first, second = before.bev_iou_misses_zero.mean, after.bev_iou_misses_zero.mean
     if test is not None and test.is_of_too_few:
+        count = test.vehicles or 0
         return (
-            f"{test.vehicles or 0} different vehicles are too few to say whether the fine-tuned network is better: "
-            "label instants with others."
+            f"The figures are of {count} different vehicle{'' if count == 1 else 's'}: too few to say whether the "
+            "fine-tuned network is better. Label instants with others."
         )
     if test is None or test.difference is None or test.p_bootstrap is None or first is None or second is None:
         return "Too little was matched to say whether the fine-tuned network is better."

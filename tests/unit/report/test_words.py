@@ -12,7 +12,7 @@ from rich.console import Console
 from tests.builders import AMBIGUOUS
 from tests.unit.report.documents import conflicts_json, metrics_json
 from tests.unit.report.scenes import crossing_traffic
-from wibam_core.cli.tables import print_tables
+from wibam_core.cli.tables import before_after_table, print_tables
 from wibam_core.documents.conflicts import Conflicts
 from wibam_core.documents.metrics import Metrics
 from wibam_core.report.advice import advice
@@ -46,6 +46,21 @@ def test_road_users_that_no_network_knows_are_said_to_be_missing() -> None:
 def test_advice_for_chance_is_to_record_longer():
     text = " ".join(advice(changed(bev_iou={"p_bootstrap": 0.2})))
     assert "may be chance" in text and "use the fine-tuned weights at" not in text
+
+
+@pytest.mark.parametrize(("vehicles", "words"), [(1, "1 vehicle: too few"), (5, "5 vehicles: too few")])
+def test_of_a_few_vehicles_nothing_is_called_sure(vehicles: int, words: str) -> None:
+    unsure = {"low": None, "high": None, "p_bootstrap": None, "vehicles": vehicles}
+    metrics = changed(**dict.fromkeys(("bev_iou", "iou_3d", "ate_m", "ase", "aoe_deg"), unsure))
+    text = " ".join(advice(metrics))
+    assert words in text.replace("different ", "") and "more than chance" not in text
+    row = result_rows(metrics)[0]
+    assert row.change.value == "+0.26" and row.verdict == ""
+    assert row.change.spread == words
+    buffer = io.StringIO()
+    Console(file=buffer, width=200).print(before_after_table(metrics))
+    shown = buffer.getvalue()
+    assert "0.72 (0.15)" in shown and "*" not in shown and "too few different vehicles" in shown
 
 
 def test_advice_against_worse_weights():
