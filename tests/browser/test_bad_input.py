@@ -22,6 +22,11 @@ PLAYS = """(data) => new Promise((resolve) => {
   video.addEventListener("error", () => resolve(false));
   video.src = URL.createObjectURL(new Blob([Uint8Array.from(atob(data), (letter) => letter.charCodeAt(0))]));
 })"""
+#: Whether the left border of the frame on the page of a camera is as bright as recorded pictures are there.
+LEFT_IS_BRIGHT = """() => {
+  const canvas = document.getElementById("frame");
+  return canvas.getContext("2d").getImageData(4, canvas.height / 2, 1, 1).data[1] > 150;
+}"""
 #: What a page is told that asks for its job again.
 LOOKS_AGAIN = """async (job) => {
   const { get } = await import("/static/js/api.js");
@@ -53,14 +58,11 @@ def test_a_video_that_no_browser_plays_is_looked_at_all_the_same(
     assert page.evaluate(PLAYS, b64encode(recording.read_bytes()).decode()) is False
     page.locator("input#files").set_input_files(recording)
     page.locator("#queue li", has_text="done").wait_for()
-    page.wait_for_function("document.querySelector('.camera img')?.naturalWidth > 0")
+    page.wait_for_function("() => document.querySelector('.camera img')?.naturalWidth > 0")
     page.get_by_role("link", name="Calibrate and signals").click()
-    page.wait_for_function("Number(document.getElementById('time').max) > 1.5")
+    page.wait_for_function("() => Number(document.getElementById('time').max) > 1.5")
     page.locator("#time").fill("1")
-    page.wait_for_function(
-        "(__ => { const one = document.getElementById('frame'), at = one.getContext('2d');"
-        " return at.getImageData(4, one.height / 2, 1, 1).data[1] > 150; })()"
-    )
+    page.wait_for_function(LEFT_IS_BRIGHT)
 
 
 def test_a_link_that_ends_while_one_looks_says_whom_to_ask(playwright_browser: Any, api: LiveApi) -> None:
