@@ -18,6 +18,7 @@ from wibam_core.documents.warnings import StageWarning
 from wibam_core.stages.graph import STAGES
 
 _UNLIMITED = 10_000  # columns
+_NAMED = 5
 _MARKS = {
     "pending": "[dim]·[/]",
     "running": "[cyan]▶[/]",
@@ -65,6 +66,17 @@ def print_warning(console: Console, warning: StageWarning) -> None:
     """Print what is doubtful, and what to do about it."""
     console.print(f"[yellow]warning[/] {escape(warning.message)}", highlight=False)
     console.print(f"        [dim]{escape(warning.hint)}[/]", highlight=False)
+
+
+def print_unclaimed(console: Console, names: Sequence[str]) -> None:
+    """Say which files beside the recordings are no camera's, and so are not used."""
+    if names:
+        more = f" and {len(names) - _NAMED} more" if len(names) > _NAMED else ""
+        console.print(
+            f"[yellow]warning[/] recordings/{escape(', '.join(names[:_NAMED]))}{more}: not used, since no camera of "
+            "site.json is called so",
+            highlight=False,
+        )
 
 
 def print_overlap(console: Console, calibrated: Path | None) -> None:

@@ -11,7 +11,7 @@ from rich.console import Console
 from rich.markup import escape
 
 from wibam_core.artifacts.catalogue import made_by
-from wibam_core.cli.display import StageDisplay, print_overlap
+from wibam_core.cli.display import StageDisplay, print_overlap, print_unclaimed
 from wibam_core.cli.foretell import foretold, print_foretold
 from wibam_core.config import PipelineConfig
 from wibam_core.errors import InvalidOption
@@ -58,6 +58,7 @@ def run(
     if until is not None and until not in STAGES:
         downstream(until)
     folder = SiteFolder.load(site_dir)
+    print_unclaimed(console, folder.unclaimed)
     store = StageStore(out or site_dir / "outputs")
     planned = plan(folder.site, config, folder.digests())
     again = downstream(restart_from) if restart_from is not None else ()

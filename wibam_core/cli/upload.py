@@ -12,6 +12,7 @@ import typer
 from rich.console import Console
 from rich.progress import BarColumn, DownloadColumn, Progress, TextColumn, TransferSpeedColumn
 
+from wibam_core.cli.display import print_unclaimed
 from wibam_core.cli.run import parse_options
 from wibam_core.cli.service import DEFAULT_URL, Token, Url, connect, watch
 from wibam_core.client import FileView, UploadProgress, WibamClient
@@ -39,6 +40,7 @@ def upload(
     options = parse_options(option or [])
     PipelineConfig.parse(options)  # before hours of sending
     folder = SiteFolder.load(site_dir)
+    print_unclaimed(console, folder.unclaimed)
     with connect(url, token) as client:
         site_id = _describe(client, folder, site)
         console.print(site_id, highlight=False)

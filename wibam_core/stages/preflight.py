@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from pathlib import Path
 
 import numpy as np
@@ -11,13 +12,15 @@ from wibam_core.artifacts.catalogue import LIMITS, PROBE, TIMESTAMPS
 from wibam_core.config import FinetuneConfig, PreflightConfig
 from wibam_core.detection.detector import check_detector
 from wibam_core.documents.recordings import Limits, Probe, VideoInfo
+from wibam_core.documents.warnings import Caution
 from wibam_core.errors import InputError, InvalidWeights, MissingCamera, NoOverlap, UnreadableVideo
 from wibam_core.formats.labels import read_labels
 from wibam_core.site import SiteCamera
 from wibam_core.stages.base import StageContext, Summary
+from wibam_core.stages.store import sha256_of
 from wibam_core.video.cautions import cautions_of
 from wibam_core.video.probe import measure
-from wibam_core.video.recording import Recording
+from wibam_core.video.recording import Recording, RecordingFile
 
 
 def run(context: StageContext, config: PreflightConfig) -> Summary:
@@ -59,6 +62,7 @@ def run(context: StageContext, config: PreflightConfig) -> Summary:
     context.write(PROBE, Probe(cameras=infos))
     context.write(TIMESTAMPS, times)
     context.write(LIMITS, Limits(min_overlap_s=config.min_overlap_s))
+    context.warn(*_same_files(context.recordings))
     for camera_id, info in infos.items():
         context.warn(*(caution.of_camera(camera_id) for caution in cautions_of(info)))
     context.progress(1.0)
@@ -71,6 +75,27 @@ def run(context: StageContext, config: PreflightConfig) -> Summary:
         "shortest_s": min(info.duration_s for info in infos.values()),
         "frames": sum(info.frames for info in infos.values()),
     }
+
+
+def _same_files(recordings: Mapping[str, Recording]) -> list[Caution]:
+    """What was uploaded for two cameras: then one of them is not seen at all."""
+    by_size: dict[int, list[tuple[str, RecordingFile]]] = {}
+    for camera_id, recording in recordings.items():
+        for file in recording.files:
+            by_size.setdefault(file.path.stat().st_size, []).append((camera_id, file))
+    first: dict[str, str] = {}
+    cautions = []
+    for camera_id, file in (entry for alike in by_size.values() if len(alike) > 1 for entry in alike):
+        other = first.setdefault(sha256_of(file.path), camera_id)
+        if other != camera_id:
+            caution = Caution(
+                code="same_recording",
+                message=f"its recording {file.name} is, byte by byte, the one of camera {other}",
+                hint="Give each camera its own recording: two cameras never see the same.",
+                details={"file": file.name, "other": other},
+            )
+            cautions.append(caution.of_camera(camera_id))
+    return cautions
 
 
 def _measure(camera: SiteCamera, recording: Recording) -> tuple[VideoInfo, NDArray[np.int64]]:

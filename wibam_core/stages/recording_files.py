@@ -4,32 +4,39 @@ from __future__ import annotations
 
 import hashlib
 import json
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from pathlib import Path
 
 from wibam_core.errors import MissingCamera, SiteFileError
 from wibam_core.site import SiteCamera
 from wibam_core.video.recording import Recording, RecordingFile
 
-#: What cameras write beside their recordings: thumbnails, previews of low resolution, subtitles with positions, sound.
-_BESIDE = (".thm", ".lrv", ".srt", ".jpg", ".jpeg", ".png", ".wav", ".txt", ".json", ".csv", ".xml", ".db", ".ini")
+_PICTURES = (".jpg", ".jpeg", ".png", ".bmp", ".tif", ".tiff", ".webp", ".dng", ".heic")
+#: What cameras write beside their recordings: thumbnails, previews of low resolution, positions, sound; and what people
+#: and systems put there.
+_BESIDE = (
+    *_PICTURES,
+    *(".thm", ".lrv", ".lrf", ".srt", ".gpx", ".wav", ".mp3", ".aac", ".txt", ".md", ".log"),
+    *(".json", ".csv", ".xml", ".db", ".ini"),
+)
 
 
 def find_recording(folder: Path, camera: SiteCamera) -> Recording | None:
     """A camera's recording in a folder ``recordings/``; None where there is none.
 
-    It is one file, ``<camera id>.<anything>``, or several in a folder ``<camera id>/``, of which all count, or those
-    that the site lists.
+    It is one file, ``<camera id>.<anything>`` or ``<camera id>``, or several in a folder ``<camera id>/``, of which all
+    count, or those that the site lists.
 
     Raises:
         SiteFileError: there are several files, and no folder or list says that they belong together; or there is none
-            where it should lie, but one deeper or under the id in other letters.
+            where it should lie, but one deeper or under the id in other letters, or pictures alone.
         MissingCamera: a file that the site lists is not there.
     """
     own = folder / camera.id
     if camera.recordings:
         return Recording(tuple(_listed(folder, camera, name) for name in sorted(camera.recordings)))
-    single = sorted(path for path in folder.glob(f"{camera.id}.*") if path.is_file() and not _is_beside(path))
+    named = [*folder.glob(f"{camera.id}.*"), own]
+    single = sorted(path for path in named if path.is_file() and not _is_beside(path))
     if own.is_dir():
         inside = sorted(path for path in own.iterdir() if path.is_file() and not _is_beside(path))
         if inside and single:
@@ -41,6 +48,19 @@ def find_recording(folder: Path, camera: SiteCamera) -> Recording | None:
     if not single:
         _check_elsewhere(folder, camera)
     return Recording.at(single[0]) if single else None
+
+
+def unclaimed(folder: Path, cameras: Sequence[SiteCamera]) -> tuple[str, ...]:
+    """Names of files and folders in ``recordings/`` that are no camera's, as of one that was called otherwise."""
+    claimed = {name for camera in cameras for name in (camera.id, *camera.recordings)}
+    found = sorted(folder.iterdir()) if folder.is_dir() else []
+    return tuple(
+        path.name
+        for path in found
+        if not _is_beside(path)
+        and path.name not in claimed
+        and not any(path.is_file() and path.name.startswith(f"{camera.id}.") for camera in cameras)
+    )
 
 
 def digest_of(files: Iterable[tuple[str, str]]) -> str:
@@ -96,6 +116,16 @@ def _check_elsewhere(folder: Path, camera: SiteCamera) -> None:
             camera=camera.id,
         )
     others = sorted(folder.iterdir()) if folder.is_dir() else []
+    inside = sorted(own.iterdir()) if own.is_dir() else []
+    pictures = [path for path in (*inside, *folder.glob(f"{camera.id}.*")) if path.suffix.lower() in _PICTURES]
+    if pictures:
+        raise SiteFileError(
+            f"camera {camera.id} has no recording, but pictures: {pictures[0].name}"
+            + (f" and {len(pictures) - 1} more" if len(pictures) > 1 else ""),
+            hint="Make one video file of them, with the time of each: pictures by themselves do not say when they were "
+            "taken.",
+            camera=camera.id,
+        )
     for path in others:
         named = path.name.split(".")[0]
         if named != camera.id and named.strip().lower() == camera.id.lower() and not _is_beside(path):

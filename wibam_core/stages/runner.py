@@ -30,12 +30,17 @@ from wibam_core.video.recording import Recording
 
 @dataclass(frozen=True)
 class SiteFolder:
-    """A site on disk: its description and files, and the folders of stages that are given, by stage."""
+    """A site on disk: its description and files, and the folders of stages that are given, by stage.
+
+    Attributes:
+        unclaimed: names of files and folders beside the recordings that are no camera's.
+    """
 
     site: Site
     recordings: Mapping[str, Recording]
     assets: Mapping[str, Path]
     given: Mapping[str, Path] = field(default_factory=lambda: MappingProxyType({}))
+    unclaimed: tuple[str, ...] = ()
 
     @classmethod
     def load(cls, folder: Path) -> SiteFolder:
@@ -64,7 +69,7 @@ class SiteFolder:
             for file in reversed(asset.files)
             if (folder / file).is_file()
         }
-        return cls(site, recordings, assets, given)
+        return cls(site, recordings, assets, given, recording_files.unclaimed(folder / "recordings", site.cameras))
 
     def made(self, planned: PlannedStage, store: StageStore) -> Path | None:
         """The outputs of a stage, where they are given or the store holds them."""

@@ -37,7 +37,7 @@ def test_warnings_are_printed_when_a_stage_runs_and_when_it_is_reused(tmp_path: 
         assert "If these are feet, multiply them by 0.3048" in done.output
 
 
-def test_what_cameras_see_together_is_printed_before_anything_long(tmp_path: Path) -> None:
+def test_what_cameras_see_together_and_what_is_not_used_is_printed_before_anything_long(tmp_path: Path) -> None:
     cameras = {"a": look_at((-20.0, -15.0, 8.0)), "b": look_at((20.0, -15.0, 8.0)), "c": look_at((20.0, 15.0, 8.0))}
     site = Site(name="three", cameras=tuple(site_camera(name, camera) for name, camera in cameras.items()))
     (tmp_path / "recordings").mkdir()
@@ -46,8 +46,11 @@ def test_what_cameras_see_together_is_printed_before_anything_long(tmp_path: Pat
     for name in ("b", "c"):
         (tmp_path / "recordings" / f"{name}.mp4").write_bytes(recording.read_bytes())
     options = ["--until", "calibrate", "--set", "sync.method=none", "--set", "preflight.min_overlap_s=1"]
+    (tmp_path / "recordings" / "north.mp4").write_bytes(recording.read_bytes())
     done = CliRunner().invoke(app, ["run", str(tmp_path), *options], catch_exceptions=False, env={"COLUMNS": "300"})
     assert done.exit_code == 0
+    assert "warning recordings/north.mp4: not used, since no camera of site.json is called so" in done.output
+    assert "Camera b: its recording b.mp4 is, byte by byte, the one of camera a" in done.output
     pairs = overlap_of(cameras).pairs
     assert len(pairs) == 3
     for pair in pairs:

@@ -84,6 +84,14 @@ def test_preflight_names_the_camera_of_a_broken_recording(three: Run) -> None:
         three.preflight(min_overlap_s=0)
 
 
+def test_preflight_says_that_two_cameras_have_one_recording(three: Run) -> None:
+    three.recordings["c"].write_bytes(three.recordings["a"].read_bytes())
+    three.preflight(min_overlap_s=1)
+    [warning] = three.warnings
+    assert (warning.code, warning.details["camera"], warning.details["other"]) == ("same_recording", "c", "a")
+    assert "the one of camera a" in warning.message
+
+
 def test_preflight_refuses_another_size_than_the_calibrations(three: Run) -> None:
     three.site = site(("a", "b", "c"), 1280, 720)
     with pytest.raises(InputError, match="camera a is 128x72 px, but the site says 1280x720 px"):

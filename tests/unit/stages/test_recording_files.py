@@ -95,3 +95,28 @@ def test_the_digest_knows_names_but_no_order_and_that_of_one_file_is_the_file_s(
     assert both == digest_of([("b", "34"), ("a", "12")])
     assert both != digest_of([("a", "34"), ("b", "12")])
     assert both != digest_of([("a", "12"), ("c", "34")])
+
+
+@pytest.mark.parametrize("names", [("cam2/000001.jpg", "cam2/000002.jpg"), ("cam2.png",), ("cam2/a.bmp",)])
+def test_pictures_are_called_pictures(tmp_path: Path, names: tuple[str, ...]) -> None:
+    with pytest.raises(SiteFileError, match=f"no recording, but pictures: {Path(names[0]).name}") as refused:
+        folder_with(tmp_path, "cam1.mp4", *names)
+    assert "video file" in refused.value.hint
+
+
+def test_a_file_needs_no_extension(tmp_path: Path) -> None:
+    assert names_of(folder_with(tmp_path, "cam1", "cam2.mp4"), "cam1") == ["cam1"]
+
+
+def test_what_dji_writes_beside_its_recordings_is_passed_over(tmp_path: Path) -> None:
+    folder = folder_with(tmp_path, "cam1.mp4", "cam2/DJI_0001.MP4", "cam2/DJI_0001.LRF", "cam2/DJI_0001.SRT")
+    assert names_of(folder, "cam2") == ["DJI_0001.MP4"]
+
+
+def test_what_no_camera_is_called_is_known_to_be_unused(tmp_path: Path) -> None:
+    folder = folder_with(
+        tmp_path, "cam1.mp4", "cam2.part.mp4", "cam3.mp4", "north/GX010001.MP4", "cam1.jpg", ".DS_Store", "extra.mp4"
+    )
+    assert folder.unclaimed == ("cam3.mp4", "extra.mp4", "north")
+    listed = folder_with(tmp_path / "listed", "cam1.mp4", "a.mp4", "b.mp4", cam2=["a.mp4", "b.mp4"])
+    assert listed.unclaimed == ()
