@@ -23,6 +23,7 @@ from wibam_core.lifting.instants import thinned, within_split
 from wibam_core.lifting.lift import lift
 from wibam_core.progress import Progress, part, silent
 from wibam_core.rounds.agreement import held_out_agreement
+from wibam_core.rounds.broken import broken_tracks
 from wibam_core.rounds.seen import SAME_IOU
 from wibam_core.rounds.world import Detected, World
 from wibam_core.scene import AnnotatedInstant, Boxes2D, FrameKey, FrameSet, Vehicles3D
@@ -76,9 +77,9 @@ def settled(
         detected = confirmed
     split = Split(times_ns=times_ns, left_out_tracks=seen_later(before, times_ns))
     own = part(progress, 0.4, 1.0)
-    agreement = held_out_agreement(
-        judging(before, split), world.rig, options.lift, own, taught=_teaching_tracks(before, split)
-    )
+    teaching = _teaching_tracks(before, split)
+    taught = teaching | broken_tracks(before, teaching, times_ns["train"][-1], options.associate)
+    agreement = held_out_agreement(judging(before, split), world.rig, options.lift, own, taught=taught)
     return Settled(detected, before, split, agreement)
 
 
