@@ -8,10 +8,11 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from benchmarks.real_labels import LEAST_VISIBLE, Area, Judged, Labels, judge
+from benchmarks.real_labels import LEAST_VISIBLE, MATCH_M, Area, Judged, Labels, judge
 from wibam_core.artifacts.access import ArtifactReader
 from wibam_core.artifacts.catalogue import FRAMES, RIG, SPLIT, TRACKS, WEIGHTS
 from wibam_core.documents.split import SUBSETS, Split
+from wibam_core.evaluation.matching import assign
 from wibam_core.geometry.box3d import XY, YAW
 from wibam_core.geometry.se3 import normalise_angle
 from wibam_core.models.frames import Frame
@@ -100,6 +101,29 @@ def of_fits(labels: Iterable[Labels], area: Area, fits: Sequence[Vehicles3D]) ->
         boxes = fits_at(fits, one.time_ns)
         if boxes is not None:
             yield one, judge(one, area, boxes)
+
+
+def of_what_may_teach(
+    labels: Iterable[Labels], area: Area, fits: Sequence[Vehicles3D], instants: Sequence[AnnotatedInstant], split: Split
+) -> Iterator[tuple[Labels, Judged]]:
+    """As `of_fits`, of the vehicles alone that the split lets teach in the part that the instant lies in.
+
+    A vehicle that a later part sees, too, is left out of the earlier one on purpose. Which these are is told by where
+    association (``instants``) has the vehicles that are left out; who is associated with nothing may teach.
+    """
+    for one in labels:
+        boxes = fits_at(fits, one.time_ns)
+        if boxes is None:
+            continue
+        nearest = min(instants, key=lambda at: abs(at.time_ns - one.time_ns))
+        left_out = split.left_out_tracks.get(subset_at(split, one.time_ns), frozenset())
+        places = np.array([(vehicle.x_m, vehicle.y_m) for vehicle in nearest.vehicles]).reshape(-1, 2)
+        out = np.array([vehicle.track_id in left_out for vehicle in nearest.vehicles], dtype=bool)
+        away_m = np.linalg.norm(one.at(nearest.time_ns)[:, None, XY] - places, axis=-1)
+        rows, columns = assign(away_m, MATCH_M)
+        teaches = np.ones(len(one.boxes), dtype=bool)
+        teaches[rows] = ~out[columns]
+        yield one, judge(one, area, boxes, counts=teaches)
 
 
 def of_one_camera(

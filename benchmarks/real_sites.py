@@ -28,6 +28,7 @@ from benchmarks.real_measures import (
     of_fits,
     of_one_camera,
     of_tracks,
+    of_what_may_teach,
     parts,
 )
 from benchmarks.real_report import birds_eye, document, save
@@ -46,13 +47,16 @@ _KEY = ("site", "version", "detector", "rounds_asked", "steps", "seed", "options
 
 def of_what_teaches(outputs: ArtifactReader, labels: Sequence[Labels], area: Area) -> Row:
     """The figures of the rounds and of the fits that teach; those of what was taught are left open."""
-    fits = of_fits(labels, area, outputs.read(FITS))
+    of_all, split, instants = outputs.read(FITS), outputs.read(SPLIT), outputs.read(ANNOTATIONS)
+    fits = of_fits(labels, area, of_all)
+    may_teach = of_what_may_teach(labels, area, of_all, instants, split)
     rounds = outputs.read(ROUNDS)
     return {
         "round": rounds.kept,
         **dict.fromkeys(("recall", "precision", "bev_iou", "ate_m", "aoe_deg")),
-        "fits": {name: figures(of) for name, of in parts(fits, outputs.read(SPLIT)).items()},
-        "found": counts_in_area(outputs.read(ANNOTATIONS), area),
+        "fits": {name: figures(of) for name, of in parts(fits, split).items()},
+        "may_teach": figures([judged for _, judged in may_teach]),
+        "found": counts_in_area(instants, area),
         "rounds": rounds.model_dump(),
     }
 

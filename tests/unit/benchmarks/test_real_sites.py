@@ -7,12 +7,12 @@ import numpy as np
 import pytest
 
 from benchmarks.real_labels import Area, Labels, bootstrap, figures, judge, read_area, read_labels, wilson
-from benchmarks.real_measures import fits_at, of_one_camera, parts, subset_at, tracks_at
+from benchmarks.real_measures import fits_at, of_one_camera, of_what_may_teach, parts, subset_at, tracks_at
 from benchmarks.real_sites import written
 from tests.builders import look_at
 from wibam_core.documents.split import Split
 from wibam_core.road_users import RoadUserClass
-from wibam_core.scene import CameraRig, FrameSet, Track, Vehicles3D
+from wibam_core.scene import AnnotatedInstant, CameraRig, FrameSet, MultiViewVehicle, Track, Vehicles3D
 
 S = 10**9
 SQUARE = Area(np.array([[-10.0, -10.0], [10.0, -10.0], [10.0, 10.0], [-10.0, 10.0]]))
@@ -79,6 +79,19 @@ def test_tracks_are_taken_between_their_states_and_fits_are_moved_by_their_track
     found = fits_at(fits, S // 2)
     assert found is not None and found[:, 0] == pytest.approx([3.75])
     assert fits_at(fits, 3 * S) is None
+
+
+def test_who_is_left_out_of_a_part_is_not_asked_of_what_may_teach() -> None:
+    split = Split(
+        times_ns={"train": (0, 2 * S), "val": (4 * S, 5 * S), "test": (9 * S, 12 * S)},
+        left_out_tracks={"train": frozenset({8}), "val": frozenset({7}), "test": frozenset()},
+    )
+    one = labels(car(0, 0), car(6, 0), car(0, 7))  # at 1 s
+    seen = [MultiViewVehicle(k, k + 7, RoadUserClass.CAR, 6.0 * k + 0.4, 0.3, {"a": k, "b": k}) for k in range(2)]
+    fits = [Vehicles3D.of(S, np.array([car(0.1, 0)]), ids=np.array([7]))]
+    (_, judged), *others = of_what_may_teach([one], SQUARE, fits, [AnnotatedInstant(S, {}, tuple(seen))], split)
+    # the second is left out of the training part; nothing was associated with the third, which was missed
+    assert judged.asked == ("v0", "v2") and judged.found == ("v0",) and not others
 
 
 def test_figures_count_and_state_intervals() -> None:
