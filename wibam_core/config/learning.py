@@ -36,7 +36,7 @@ class LiftConfig(StageConfig):
         0.2, gt=0, le=2, description="fits with a larger mean 1 - GIoU are not trained on, but see max_usual_residuals"
     )
     max_usual_residuals: float = Field(
-        2.0,
+        3.0,
         ge=0,
         le=100,
         description="fits are trained on, too, whose residual is at most so many times the median of the recording's"
