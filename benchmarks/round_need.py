@@ -1,6 +1,6 @@
 """How much a detector overlooks by the views' agreement, before any round: what decides whether one is run.
 
-Of the outputs of ``wibam run SITE --until refine``, the judging alone is done and timed; nothing is taught. With
+Of the outputs of ``wibam run SITE --until rounds``, the judging alone is done and timed; nothing is taught. With
 ``--overlooking`` a share of the boxes is left out at random, as a worse detector would.
 
 Run: python -m benchmarks.round_need SITE [SITE ...] --overlooking 0 0.2 0.4 --seed 0
@@ -33,11 +33,11 @@ def judged(
     outputs: ArtifactReader, config: PipelineConfig, detected: Mapping[FrameKey, Boxes2D]
 ) -> tuple[HeldOutAgreement, float]:
     """The agreement that decides, and the CPU seconds that it takes."""
-    covariances = outputs.read(catalogue.REFINEMENT).covariances
+    covariances = outputs.read(catalogue.DETECTOR_REFINEMENT).covariances
     options = Options(config.rounds, config.detect, config.associate, config.dataset, config.lift)
     with tempfile.TemporaryDirectory() as scratch:
         world = World(
-            outputs.read(catalogue.RIG),
+            outputs.read(catalogue.DETECTOR_RIG),
             {name: np.array(matrix) for name, matrix in covariances.items()},
             outputs.read(catalogue.FRAMES),
             outputs.read(catalogue.SEARCHED_INSTANTS),
@@ -60,7 +60,7 @@ def worse(detected: Mapping[FrameKey, Boxes2D], share: float, seed: int) -> dict
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("sites", type=Path, nargs="+", help="site folders that were run until refine")
+    parser.add_argument("sites", type=Path, nargs="+", help="site folders that were run until rounds")
     parser.add_argument("--outputs", type=Path, help="where the stages' outputs are; without: SITE/outputs")
     parser.add_argument("--overlooking", type=float, nargs="+", default=[0.0], help="shares of boxes to leave out")
     parser.add_argument("--seed", type=int, default=0)

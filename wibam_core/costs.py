@@ -120,6 +120,7 @@ def _cpu_s(footage: Footage, config: PipelineConfig, bfloat16: bool, rounds: flo
     judging = (0.7 * minutes + 3.3 * min(of_val / 60, minutes)) * footage.cameras / 4
     fitting = judging + 2.5 * minutes * config.dataset.train_share * footage.cameras / 4
     moving = decoded_jpeg + 0.02  # silhouettes in an image, and a second look at those that are new
+    refining = 0.0 if config.refine.method == "none" else 1.0 + 4.0 * min(minutes, 5.0) * footage.cameras / 4
     teaching = 3.0 + (0.056 if bfloat16 else 0.21) * _WINDOWS * 8 * config.rounds.steps
     return {
         "preflight": 0.6 + 1e-4 * footage.frames,
@@ -129,13 +130,15 @@ def _cpu_s(footage: Footage, config: PipelineConfig, bfloat16: bool, rounds: flo
         else 0.5 + asks_lights * 1.4 * decoding + asks_traffic * (decoding + found * watched),
         "frames": 0.5 + decoding + 0.004 * footage.stored_megapixels * stored,
         "detect": 1.0 + (found + decoded_jpeg) * searched + (config.detect.refine != "off") * looked_at * searched,
-        "refine": 0.5 if config.refine.method == "none" else 1.0 + 4.0 * min(minutes, 5.0) * footage.cameras / 4,
         "rounds": 0.3
         if not config.rounds.asked_for
         else 1.5
+        + refining
         + judging
         + (rounds > 0) * config.rounds.motion * (moving * searched + judging)
         + rounds * bool(config.rounds.most) * (fitting + teaching + (image + decoded_jpeg + looked_at) * searched),
+        # what the detector's boxes say of the cameras stands where rounds find no others
+        "refine": 0.5 + (min(rounds, 1.0) if config.rounds.asked_for else 1.0) * refining,
         "associate": 0.3 + 0.7 * minutes * footage.cameras / 4,
         "dataset": 0.3,
         "lift": 0.5 + 2.5 * minutes * footage.cameras / 4,

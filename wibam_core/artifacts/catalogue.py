@@ -86,9 +86,16 @@ SEARCHED_INSTANTS: Final = Artifact(
 DETECTION_STATISTICS: Final = Artifact(
     "detection-statistics", "detect", "statistics.json", "Counts of 2D boxes", document(DetectionStatistics)
 )
-RIG: Final = Artifact("rig", "refine", "rig.json", "The cameras as they are used", _RIG)
-REFINEMENT: Final = Artifact(
-    "refinement", "refine", "refinement.json", "What the traffic says of the cameras", document(Refinement)
+DETECTOR_RIG: Final = Artifact(
+    "detector-rig", "rounds", "rig.json", "The cameras as the detector's boxes alone refine them", _RIG, optional=True
+)
+DETECTOR_REFINEMENT: Final = Artifact(
+    "detector-refinement",
+    "rounds",
+    "refinement.json",
+    "What the detector's boxes alone say of the cameras",
+    document(Refinement),
+    optional=True,
 )
 ROUND_DETECTIONS: Final = Artifact(
     "round-detections",
@@ -99,6 +106,10 @@ ROUND_DETECTIONS: Final = Artifact(
     version=2,
 )
 ROUNDS: Final = Artifact("rounds", "rounds", "rounds.json", "What each round gained", document(Rounds))
+RIG: Final = Artifact("rig", "refine", "rig.json", "The cameras as they are used", _RIG)
+REFINEMENT: Final = Artifact(
+    "refinement", "refine", "refinement.json", "What the traffic says of the cameras", document(Refinement)
+)
 ANNOTATIONS: Final = Artifact(
     "annotations",
     "associate",

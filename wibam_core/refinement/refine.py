@@ -11,7 +11,6 @@ from wibam_core.association.associate import associate
 from wibam_core.config import AssociateConfig, RefineConfig
 from wibam_core.documents.calibration import CalibrationResiduals
 from wibam_core.documents.refinement import HeldOut, RefinedCamera, RefinedGround, Refinement
-from wibam_core.documents.warnings import Caution
 from wibam_core.errors import NoMultiViewVehicles, NoVehicles
 from wibam_core.lifting.fit import X, Y
 from wibam_core.progress import Progress, part, silent
@@ -35,8 +34,6 @@ _CERTAIN_SD = 2.0
 _CLIP_SD = 4.0
 #: Vehicles that so many cameras see say where all cameras lie together, if there are at least so many of them.
 _SEVERAL_VIEWS, _FEWEST_TOGETHER = 3, 6
-#: A clock that seems to be off by more than this is worth a word, ms. True ones of a real site seem to be by 31.
-_LATE_MS = 40.0
 
 
 def refine(
@@ -191,28 +188,4 @@ def _result(prior: Prior, found: Adjusted, judged: HeldOut, sightings: Sightings
         cameras=cameras,
         covariances={name: own.tolist() for name, own in of_what_is_seen(rig, covariances).items()},
     )
-    cautions = [_changed_caution(cameras, change_words)] if taken else []
-    cautions += [_late_caution(name, camera) for name, camera in cameras.items() if abs(camera.late_ms) > _LATE_MS]
-    return Refined(found.rig if taken else rig, document, tuple(cautions))
-
-
-def _changed_caution(cameras: dict[str, RefinedCamera], change: str) -> Caution:
-    by_camera = ", ".join(f"{name} by {one.turned_deg:.2f}° and {one.moved_m:.2f} m" for name, one in cameras.items())
-    return Caution(
-        code="calibration_refined",
-        message=f"Road users that several cameras see contradict the calibration, which was corrected: {by_camera}; "
-        f"{change}",
-        hint="Check the points of the calibration, and whether a camera was moved after they were taken; with "
-        "refine.method=none it is used as it was given.",
-        details={name: {"turned_deg": one.turned_deg, "moved_m": one.moved_m} for name, one in cameras.items()},
-    )
-
-
-def _late_caution(camera_id: str, camera: RefinedCamera) -> Caution:
-    return Caution(
-        code="clock_contradicted",
-        message=f"Camera {camera_id}: by the ways of the vehicles, its clock is off by {camera.late_ms:.0f} ms from "
-        "what synchronisation says",
-        hint="Look at the light changes that it was synchronised by.",
-        details={"camera": camera_id, "late_ms": camera.late_ms},
-    )
+    return Refined(found.rig if taken else rig, document)

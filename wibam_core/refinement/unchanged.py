@@ -9,18 +9,21 @@ import numpy as np
 from wibam_core.config import RefineConfig
 from wibam_core.documents.calibration import CalibrationResiduals
 from wibam_core.documents.refinement import Refinement
-from wibam_core.documents.warnings import Caution
 from wibam_core.refinement.mounts import of_what_is_seen
 from wibam_core.scene import CameraRig, FloatArray
 
 
 @dataclass(frozen=True, eq=False)
 class Refined:
-    """The cameras to go on with, what was found, and what a person should know of it."""
+    """The cameras to go on with, and what was found."""
 
     rig: CameraRig
     document: Refinement
-    cautions: tuple[Caution, ...] = ()
+
+    @property
+    def covariances(self) -> dict[str, FloatArray]:
+        """Covariances as of `of_what_is_seen`, where anything is known of them."""
+        return {name: np.array(matrix) for name, matrix in self.document.covariances.items()}
 
 
 def known_covariances(rig: CameraRig, residuals: CalibrationResiduals) -> dict[str, FloatArray]:

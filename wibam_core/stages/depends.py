@@ -49,7 +49,8 @@ def of_network(config: PipelineConfig) -> FinetuneConfig | None:
 
 def of_rounds(config: PipelineConfig) -> tuple[StageConfig, ...]:
     """What a round goes through, where there is one."""
-    return (config.detect, config.associate, config.dataset, config.lift) if config.rounds.asked_for else ()
+    options = (config.detect, config.refine, config.associate, config.dataset, config.lift)
+    return options if config.rounds.asked_for else ()
 
 
 def no_others(config: PipelineConfig) -> tuple[StageConfig, ...]:

@@ -151,22 +151,30 @@ _SPECS = (
         reads_if_wide=(catalogue.CALIBRATED_RIG,),
     ),
     StageSpec(
-        "refine",
-        "Refine the calibration by the traffic",
-        (catalogue.CALIBRATED_RIG, catalogue.RESIDUALS, catalogue.DETECTIONS, catalogue.SEARCHED_INSTANTS),
-    ),
-    StageSpec(
         "rounds",
         "Find, fit, teach, and find again",
         (
             catalogue.TIMESTAMPS,
+            catalogue.CALIBRATED_RIG,
+            catalogue.RESIDUALS,
             catalogue.FRAMES,
-            catalogue.RIG,
-            catalogue.REFINEMENT,
             catalogue.DETECTIONS,
             catalogue.SEARCHED_INSTANTS,
         ),
         other_options=depends.of_rounds,
+    ),
+    StageSpec(
+        "refine",
+        "Refine the calibration by the traffic",
+        (
+            catalogue.CALIBRATED_RIG,
+            catalogue.RESIDUALS,
+            catalogue.SEARCHED_INSTANTS,
+            catalogue.ROUND_DETECTIONS,
+            catalogue.ROUNDS,
+            catalogue.DETECTOR_RIG,
+            catalogue.DETECTOR_REFINEMENT,
+        ),
     ),
     StageSpec(
         "associate",

@@ -89,12 +89,12 @@ def _write(content: Content, site_dir: Path, progress: Progress) -> list[str]:
         given.write(catalogue.DETECTIONS, detected)
         given.write(catalogue.SEARCHED_INSTANTS, searched)
         given.write(catalogue.DETECTION_STATISTICS, found)
-    with giving(site_dir, "refine", {"taken": False}) as given:  # it is the data set's calibration that is wanted
-        given.write(catalogue.RIG, content.rig)
-        given.write(catalogue.REFINEMENT, Refinement(method="none", taken=False, reason="the cameras were imported"))
     with giving(site_dir, "rounds", {"rounds": 0, "kept": 0}) as given:
         given.write(catalogue.ROUND_DETECTIONS, detected)
         given.write(catalogue.ROUNDS, Rounds(rounds=[], kept=0, reason="the boxes and their vehicles were imported"))
+    with giving(site_dir, "refine", {"taken": False}) as given:  # it is the data set's calibration that is wanted
+        given.write(catalogue.RIG, content.rig)
+        given.write(catalogue.REFINEMENT, Refinement(method="none", taken=False, reason="the cameras were imported"))
     associated = association_statistics(linked)
     with giving(site_dir, "associate", associated.model_dump()) as given:
         given.write(catalogue.ANNOTATIONS, linked)

@@ -17,8 +17,11 @@ from tests.stage_folders import StageFolders
 from wibam_core.artifacts import catalogue
 from wibam_core.config import LiftConfig, RefineConfig
 from wibam_core.documents.calibration import CalibrationResiduals
+from wibam_core.documents.refinement import Refinement
+from wibam_core.documents.rounds import Rounds
 from wibam_core.geometry.se3 import SE3
 from wibam_core.lifting.lift import lift
+from wibam_core.refinement.cautions import cautions_of
 from wibam_core.refinement.refine import Refined, refine
 from wibam_core.scene import CameraRig
 from wibam_core.stages import refine as stage
@@ -64,7 +67,7 @@ def test_what_was_changed_is_said(refined: Refined) -> None:
     document = refined.document
     assert document.held_out is not None and document.held_out.after_px < 0.5 * document.held_out.before_px
     assert all(abs(camera.turned_deg - TURNED_DEG) < 0.35 for camera in document.cameras.values())
-    (caution,) = (caution for caution in refined.cautions if caution.code == "calibration_refined")
+    (caution,) = (caution for caution in cautions_of(document) if caution.code == "calibration_refined")
     assert "refine.method=none" in caution.hint
     assert set(caution.details) == set(document.cameras)
 
@@ -81,7 +84,7 @@ def test_the_stated_standard_deviations_hold_the_errors(refined: Refined) -> Non
 def test_cameras_that_are_right_stay_to_the_bit_and_an_error_they_may_have_is_stated() -> None:
     scene = crossing()
     found = refine(scene.unassociated, scene.rig, NOTHING_KNOWN, FEW)
-    assert not found.document.taken and found.rig is scene.rig and not found.cautions
+    assert not found.document.taken and found.rig is scene.rig and not cautions_of(found.document)
     assert found.document.held_out is not None and found.document.held_out.gain < 0.25
     for matrix in found.document.covariances.values():
         assert np.linalg.eigvalsh(np.array(matrix)).min() > 0
@@ -151,12 +154,33 @@ def test_stage_passes_the_rig_on_where_it_is_switched_off(tmp_path: Path) -> Non
     folders.give(catalogue.CALIBRATED_RIG, scene.rig)
     folders.give(catalogue.RESIDUALS, NOTHING_KNOWN)
     folders.give_detected(scene.unassociated[:2])
+    folders.give(catalogue.ROUNDS, Rounds(rounds=[], kept=0, reason="rounds are switched off"))
     summary = stage.run(folders.context("refine", site_of()), RefineConfig(method="none"))
     assert summary["taken"] is False
     written = folders.read(catalogue.RIG)
     assert off_deg(written, scene.rig) == [0.0] * len(scene.rig)
     assert folders.read(catalogue.REFINEMENT).method == "none"
     assert folders.read(catalogue.REFINEMENT).reason == "refine.method is none"
+
+
+@pytest.mark.parametrize(("kept", "by_all"), [(1, True), (0, False)])
+def test_boxes_that_rounds_found_refine_the_cameras_again(
+    tmp_path: Path, refined: Refined, kept: int, by_all: bool
+) -> None:
+    """Rounds refined them by fewer boxes, and found the calibration right."""
+    folders, scene = StageFolders(tmp_path), crossing()
+    by_few = Refinement(method="traffic", taken=False, reason="few boxes say so")
+    folders.give(catalogue.CALIBRATED_RIG, turned(scene.rig))
+    folders.give(catalogue.RESIDUALS, NOTHING_KNOWN)
+    folders.give_detected(scene.unassociated)
+    folders.give(catalogue.DETECTOR_RIG, turned(scene.rig))
+    folders.give(catalogue.DETECTOR_REFINEMENT, by_few)
+    folders.give(catalogue.ROUNDS, Rounds(rounds=[], kept=kept, reason="that is enough"))
+    summary = stage.run(folders.context("refine", site_of()), FEW)
+    written, document = folders.read(catalogue.RIG), folders.read(catalogue.REFINEMENT)
+    assert summary["taken"] == document.taken == by_all
+    assert (max(off_deg(written, refined.rig)) < 0.05) == by_all
+    assert (document == by_few) == (not by_all)
 
 
 def test_the_stage_loads_no_torch_where_it_is_switched_off() -> None:

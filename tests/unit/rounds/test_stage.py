@@ -10,9 +10,17 @@ from tests.builders import site_of
 from tests.multiview import crossing
 from tests.stage_folders import StageFolders
 from wibam_core.artifacts import catalogue
-from wibam_core.config import AssociateConfig, DatasetConfig, DetectConfig, LiftConfig, PipelineConfig, RoundsConfig
+from wibam_core.config import (
+    AssociateConfig,
+    DatasetConfig,
+    DetectConfig,
+    LiftConfig,
+    PipelineConfig,
+    RefineConfig,
+    RoundsConfig,
+)
 from wibam_core.detection.instants import by_frame
-from wibam_core.documents.refinement import Refinement
+from wibam_core.documents.calibration import CalibrationResiduals
 from wibam_core.formats.framestore import FrameStoreWriter
 from wibam_core.rounds import rounds
 from wibam_core.scene import Boxes2D, FrameKey
@@ -25,8 +33,8 @@ def folders(tmp_path: Path) -> StageFolders:
     made, scene = StageFolders(tmp_path), crossing()
     instants, detected = by_frame(scene.unassociated[::4])
     few = {frame: Boxes2D(*(values[::2] for values in boxes)) for frame, boxes in detected.items()}
-    made.give(catalogue.RIG, scene.rig)
-    made.give(catalogue.REFINEMENT, Refinement(method="none", taken=False, reason="it is exact"))
+    made.give(catalogue.CALIBRATED_RIG, scene.rig)
+    made.give(catalogue.RESIDUALS, CalibrationResiduals(cameras={}))
     made.give(catalogue.SEARCHED_INSTANTS, instants)
     made.give(catalogue.DETECTIONS, few)
     image = np.full((36, 64, 3), 100, np.uint8)
@@ -42,7 +50,7 @@ def folders(tmp_path: Path) -> StageFolders:
 
 def run(folders: StageFolders, config: RoundsConfig) -> dict[str, object]:
     split = DatasetConfig(rate_hz=6.25, train_share=0.45, val_share=0.25, gap_s=0.1)
-    others = (DetectConfig(), AssociateConfig(), split, LiftConfig())
+    others = (DetectConfig(), RefineConfig(min_vehicles=8), AssociateConfig(), split, LiftConfig())
     return stage.run(folders.context("rounds", site_of(crossing().rig), others=others), config)
 
 
@@ -55,6 +63,7 @@ def test_boxes_pass_where_rounds_are_switched_off(folders: StageFolders) -> None
     given, passed = folders.read(catalogue.DETECTIONS), folders.read(catalogue.ROUND_DETECTIONS)
     assert given.keys() == passed.keys() and count(given) == count(passed) > 100
     assert folders.read(catalogue.ROUNDS).rounds == []
+    assert not folders.reader.has(catalogue.DETECTOR_RIG)
 
 
 def test_boxes_pass_where_the_detector_finds_nearly_everything(folders: StageFolders) -> None:
@@ -65,6 +74,7 @@ def test_boxes_pass_where_the_detector_finds_nearly_everything(folders: StageFol
     assert (summary["rounds"], summary["kept"]) == (0, 0)
     (judged,) = folders.read(catalogue.ROUNDS).rounds
     assert (judged.agreement.found or 0) > 0.9
+    assert folders.read(catalogue.DETECTOR_REFINEMENT).vehicles >= 8 and folders.reader.has(catalogue.DETECTOR_RIG)
     assert count(folders.read(catalogue.ROUND_DETECTIONS)) == count(everything)
 
 
@@ -91,3 +101,8 @@ def test_what_a_round_goes_through_matters_only_where_there_is_one() -> None:
     lift, never = {"lift": {"iterations": 20}}, {"rounds": {"most": 0, "motion": False}}
     assert hashes(**never)["rounds"] == hashes(**never, **lift)["rounds"]
     assert hashes()["rounds"] not in (hashes(**never)["rounds"], hashes(**lift)["rounds"])
+    refine = {"refine": {"rotation_sd_deg": 1.0}}
+    assert (
+        hashes()["rounds"] != hashes(**refine)["rounds"]
+        and hashes(**never)["rounds"] == hashes(**never, **refine)["rounds"]
+    )

@@ -154,8 +154,8 @@ def test_a_dry_run_says_which_stages_are_given(site_dir: Path) -> None:
         "Synchronise the cameras",
         "Read the frames",
         "Detect vehicles in 2D",
-        "Refine the calibration by the traffic",
         "Find, fit, teach, and find again",
+        "Refine the calibration by the traffic",
         "Associate views and link over time",
         "Split in time",
     ]
