@@ -4,6 +4,9 @@ Detections are the truth with errors as a fine-tuned detector makes them: in pro
 their variance lasting from frame to frame, some headings turned by 180°, misses and false boxes. No images are made.
 
     python benchmarks/tracking.py --seeds 0 1 2 3 --cameras 4
+
+What HOTA would be if places, headings or sizes of the tracked boxes were those of the nearest true ones, says
+``--parts``.
 """
 
 from __future__ import annotations
@@ -11,12 +14,13 @@ from __future__ import annotations
 import argparse
 import time
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from wibam_core.config import SafetyConfig, TrackConfig
-from wibam_core.geometry.box3d import XY, YAW
+from wibam_core.geometry.box3d import SIZE, XY, YAW
 from wibam_core.geometry.se3 import normalise_angle
 from wibam_core.road_users import CLASSES
 from wibam_core.safety.conflicts import find_conflicts
@@ -96,22 +100,42 @@ def true_tracks(traffic: Traffic, instants: Sequence[int]) -> list[Track]:
     return tracks
 
 
-def standardised_errors(truth: Sequence[Track], found: Sequence[Track]) -> Array:
-    """(K, 7) errors of tracked states over their standard deviations, against the nearest true state within 2 m."""
+def nearest_true(truth: Sequence[Track], found: Sequence[Track], within_m: float) -> list[Array]:
+    """Of each found track's T states (T, 7) the nearest true box at that instant; NaN where none is so near."""
     at: dict[int, list[Array]] = {}
     for track in truth:
         for time_ns, box in zip(track.times_ns.tolist(), track.boxes, strict=True):
             at.setdefault(time_ns, []).append(box)
-    errors = []
+    every = []
     for track in found:
-        for time_ns, box, sd in zip(track.times_ns.tolist(), track.boxes, track.sd, strict=True):
+        nearest = np.full((len(track), 7), np.nan)
+        for k, (time_ns, box) in enumerate(zip(track.times_ns.tolist(), track.boxes, strict=True)):
             near = min(at.get(time_ns, []), key=lambda true: float(np.hypot(*(true[XY] - box[XY]))), default=None)
-            if near is None or np.hypot(*(near[XY] - box[XY])) > 2:
-                continue
-            error = box - near
-            error[YAW] = normalise_angle(error[YAW])
-            errors.append(error / sd)
-    return np.array(errors).reshape(-1, 7)
+            if near is not None and np.hypot(*(near[XY] - box[XY])) <= within_m:
+                nearest[k] = near
+        every.append(nearest)
+    return every
+
+
+def standardised_errors(truth: Sequence[Track], found: Sequence[Track]) -> Array:
+    """(K, 7) errors of tracked states over their standard deviations, against the nearest true state within 2 m."""
+    errors = []
+    for track, nearest in zip(found, nearest_true(truth, found, 2.0), strict=True):
+        error = track.boxes - nearest
+        error[:, YAW] = normalise_angle(error[:, YAW])
+        errors.append((error / track.sd)[np.isfinite(error[:, YAW])])
+    return np.concatenate([np.empty((0, 7)), *errors])
+
+
+def with_true(truth: Sequence[Track], found: Sequence[Track], columns: int | slice) -> list[Track]:
+    """The found tracks with these columns of their boxes as of the nearest true ones within 4 m."""
+    changed = []
+    for track, nearest in zip(found, nearest_true(truth, found, 4.0), strict=True):
+        boxes = track.boxes.copy()
+        rows = np.isfinite(nearest[:, YAW])
+        boxes[rows, columns] = nearest[rows, columns]
+        changed.append(replace(track, boxes=boxes))
+    return changed
 
 
 def main() -> None:
@@ -119,9 +143,11 @@ def main() -> None:
     parser.add_argument("--seeds", type=int, nargs="+", default=[0, 1, 2, 3])
     parser.add_argument("--seconds", type=float, default=60.0)
     parser.add_argument("--cameras", type=int, default=4)
+    parser.add_argument("--parts", action="store_true", help="HOTA with true places, headings and sizes, too")
     arguments = parser.parse_args()
     print(
-        "seed  true  tracks  HOTA  DetA  AssA  z xy  z yaw  conflicts true/tracked  vehicles  ms/instant  s conflicts"
+        "seed  true  tracks   HOTA   DetA   AssA   LocA  z xy  z yaw  conflicts true/tracked  vehicles  ms/instant"
+        "  s conflicts"
     )
     for seed in arguments.seeds:
         traffic = simulate_traffic(make_layout(seed), seed, arguments.seconds, SignalProgram(22.0))
@@ -147,12 +173,16 @@ def main() -> None:
         done = time.process_time()
         states = sum(len(track) for track in tracks)
         print(
-            f"{seed:4d} {len(truth):5d} {len(tracks):7d}  {score.hota:.2f}  {score.det_a:.2f}  {score.ass_a:.2f}"
-            f"  {z[:2].mean():4.2f}  {z[6]:5.2f}  {conflicts[0]:10d}/{conflicts[1]:<11d}"
+            f"{seed:4d} {len(truth):5d} {len(tracks):7d}  {score.hota:.3f}  {score.det_a:.3f}  {score.ass_a:.3f}"
+            f"  {score.loc_a:.3f}  {z[:2].mean():4.2f}  {z[6]:5.2f}  {conflicts[0]:10d}/{conflicts[1]:<11d}"
             f"  {states / len(instants):8.1f}  {1e3 * (tracked - start) / len(instants):10.2f}"
             f"  {(done - compared) / 2:11.1f}",
             flush=True,
         )
+        if arguments.parts:
+            parts = {name: hota(truth, with_true(truth, tracks, of)).hota
+                     for name, of in (("places", XY), ("headings", YAW), ("sizes", SIZE))}  # fmt: skip
+            print("      with true " + ", ".join(f"{name} {value:.3f}" for name, value in parts.items()), flush=True)
 
 
 if __name__ == "__main__":

@@ -78,6 +78,11 @@ class MixedModel:
     def bounded(self, mean: Array) -> Array:
         return self._joined(self.driving.bounded(mean[~self.walks]), self.walking.bounded(mean[self.walks]))
 
+    def halted(self, belief: Belief) -> Belief:
+        return self._beliefs(
+            self.driving.halted(belief.where(~self.walks)), self.walking.halted(belief.where(self.walks))
+        )
+
     def velocity(self, mean: Array) -> tuple[Array, Array]:
         driving, walking = self.driving.velocity(mean[~self.walks]), self.walking.velocity(mean[self.walks])
         return self._joined(driving[0], walking[0]), self._joined(driving[1], walking[1])

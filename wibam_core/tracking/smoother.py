@@ -12,7 +12,12 @@ Indices = NDArray[np.int64]
 
 
 def smooth(
-    model: MotionModel, lengths: Indices, times_ns: Indices, measurements: Measurement, measured: NDArray[np.bool_]
+    model: MotionModel,
+    lengths: Indices,
+    times_ns: Indices,
+    measurements: Measurement,
+    measured: NDArray[np.bool_],
+    stands: NDArray[np.bool_],
 ) -> Belief:
     """Smoothed beliefs of K road users at S instants in all, one road user's after another's.
 
@@ -24,6 +29,8 @@ def smooth(
         times_ns: (S,) instants, ascending for each.
         measurements: (S,); what they say at instants that were not measured is not looked at.
         measured: (S,) which instants were; the first of each was, the others are bridged.
+        stands: (S,) at which it is known to stand: its speed is zero there (a zero-velocity update: Foxlin, "Pedestrian
+            tracking with shoe-mounted inertial sensors", IEEE CG&A 2005), and between two such instants nothing moves.
     """
     order = np.argsort(-lengths, kind="stable")
     model, first = model.where(order), (np.cumsum(lengths) - lengths)[order]
@@ -31,14 +38,19 @@ def smooth(
     states, predicted = _empty(len(times_ns)), _empty(len(times_ns))
     steps = np.empty((len(times_ns), STATES, STATES))
     _put(states, first, model.first_belief(measurements.where(first)))
+    _halt(states, first[stands[first]], model.where(stands[first]))
     for k, count in enumerate(going[1:], 1):
         rows, own = first[:count] + k, model.where(slice(count))
         expected, steps[rows] = own.predict(states.where(rows - 1), (times_ns[rows] - times_ns[rows - 1]) * 1e-9)
+        still = np.flatnonzero(stands[rows] & stands[rows - 1])
+        _put(expected, still, states.where(rows[still] - 1))
+        steps[rows[still]] = np.eye(STATES)
         _put(predicted, rows, expected)
         _put(states, rows, expected)
         seen = np.flatnonzero(measured[rows])
         updated = update(own.where(seen), expected.where(seen), measurements.where(rows[seen]))
         _put(states, rows[seen], updated)
+        _halt(states, rows[stands[rows]], own.where(stands[rows]))
     for k in range(len(going) - 1, 0, -1):
         ahead = first[: going[k]] + k
         now, expected = states.where(ahead - 1), predicted.where(ahead)
@@ -54,6 +66,11 @@ def smooth(
 
 def _empty(count: int) -> Belief:
     return Belief(np.empty((count, STATES)), np.empty((count, STATES, STATES)))
+
+
+def _halt(beliefs: Belief, rows: Indices, model: MotionModel) -> None:
+    """Take in that those of these rows stand, who move by this model."""
+    _put(beliefs, rows, model.halted(beliefs.where(rows)))
 
 
 def _put(beliefs: Belief, rows: Indices, values: Belief) -> None:

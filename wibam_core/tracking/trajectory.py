@@ -32,9 +32,13 @@ _LASTING = np.array([3.0, 3.0, 3.0])
 _BRISK = np.array([0.7, 0.7, 1.0])
 #: Hard is a change of speed by more than this, m/s²; so much around it counts as well, s.
 _BRISK_MPS2, _BRISK_AROUND_S = 3.0, 0.5
+#: One that drives stands while it is slower than this for so long, m/s and s, and gets nowhere meanwhile (m).
+_RESTING_MPS, _RESTING_S, _CREPT_M = 0.3, 2.0, 0.5
 #: What comes out is less certain than the smoother says: its variances, as multiples of what they are for independent
 #: errors (benchmarks/tracking.py, where half of the variance persists; benchmarks/conflicts.py).
 _LEFT = np.array([4.5, 4.5, 6.6])
+#: The same for one that stands: all that is measured of it is of one place, and errs in one way for long.
+_LEFT_STANDING = 45.0
 #: So many vehicles are smoothed together; all that is known of their states at every instant is in memory meanwhile.
 _TOGETHER = 64
 #: So many times the fewest hits, seen often enough, prove a road user for good.
@@ -115,23 +119,33 @@ def _smoothed(first_id: int, vehicles: Sequence[Sequence[Hit]], instants: Indice
     states = [slice(at, at + length) for at, length in zip(start, lengths, strict=True)]
     drives = ~model.turns_freely[of_state]
     factors = np.where(drives[:, None], _BRISK, 1.0)
-    beliefs = smooth(model, lengths, times_ns, Measurement(value, np.sqrt(factors) * sd), measured)
+    stands = np.zeros(len(of_state), bool)
+    beliefs = smooth(model, lengths, times_ns, Measurement(value, np.sqrt(factors) * sd), measured, stands)
     speeds = model.where(of_state).travel(beliefs.mean)[1]
     brisk = np.concatenate([_is_brisk(speeds[own], times_ns[own]) for own in states])
     factors[drives & ~brisk] = _LASTING
-    measurements = Measurement(value, np.sqrt(factors) * sd)
-    beliefs = smooth(model, lengths, times_ns, measurements, measured)
-    travelled = model.where(of_state).travel(beliefs.mean)[1]
+    beliefs = smooth(model, lengths, times_ns, Measurement(value, np.sqrt(factors) * sd), measured, stands)
+    speeds = model.where(of_state).travel(beliefs.mean)[1]
     turned = np.array(
         [
-            _is_reversed(travelled[own], beliefs.mean[own, STATE_YAW], times_ns[own], hits)
+            _is_reversed(speeds[own], beliefs.mean[own, STATE_YAW], times_ns[own], hits)
             for own, hits in zip(states, vehicles, strict=True)
         ]
     )
-    if turned.any():
+    stands = drives & np.concatenate([_stands(speeds[own], times_ns[own]) for own in states])
+    anew = turned | np.logical_or.reduceat(stands, start)
+    if anew.any():
         value[start[turned], STATE_YAW] = beliefs.mean[start[turned], STATE_YAW] + np.pi
-        rows = np.flatnonzero(turned[of_state])
-        again = smooth(model.where(turned), lengths[turned], times_ns[rows], measurements.where(rows), measured[rows])
+        factors[stands] = _LASTING
+        rows = np.flatnonzero(anew[of_state])
+        again = smooth(
+            model.where(anew),
+            lengths[anew],
+            times_ns[rows],
+            Measurement(value, np.sqrt(factors) * sd).where(rows),
+            measured[rows],
+            stands[rows],
+        )
         beliefs.mean[rows], beliefs.covariance[rows] = again.mean, again.covariance
 
     every = model.where(of_state)
@@ -143,7 +157,8 @@ def _smoothed(first_id: int, vehicles: Sequence[Sequence[Hit]], instants: Indice
     boxes, sd = np.empty((len(of_state), 7)), np.empty((len(of_state), 7))
     boxes[:, XY], boxes[:, YAW] = place[:, :STATE_YAW], normalise_angle(place[:, STATE_YAW])
     boxes[:, SIZE], boxes[:, Z] = size[of_state], size[of_state, 2] / 2
-    sd[:, POSE] = np.sqrt(_LEFT / factors * np.maximum(variances, 0.0))
+    left = np.where(stands[:, None], _LEFT_STANDING, _LEFT)
+    sd[:, POSE] = np.sqrt(left / factors * np.maximum(variances, 0.0))
     sd[:, SIZE], sd[:, Z] = size_sd[of_state], size_sd[of_state, 2] / 2
     sd = np.maximum(sd, SD_FLOOR / 3)
     velocities, yaw_rates = every.velocity(beliefs.mean)
@@ -182,6 +197,18 @@ def _is_brisk(speeds: Array, times_ns: Indices) -> NDArray[np.bool_]:
     after = np.searchsorted(hard_ns, times_ns)
     gaps = [np.abs(times_ns - hard_ns[np.clip(k, 0, len(hard_ns) - 1)]) for k in (after - 1, after)]
     return np.asarray(np.minimum(*gaps) <= _BRISK_AROUND_S * 1e9)
+
+
+def _stands(speeds: Array, times_ns: Indices) -> NDArray[np.bool_]:
+    """(T,) when a vehicle with these speeds (T,) along its heading stands."""
+    slow = np.abs(speeds) < _RESTING_MPS
+    bounds = np.flatnonzero(np.diff(np.concatenate([[False], slow, [False]])))
+    stands = np.zeros(len(speeds), bool)
+    way_m = np.concatenate([[0.0], np.cumsum(0.5 * (speeds[1:] + speeds[:-1]) * np.diff(times_ns) * 1e-9)])
+    for first, last in zip(bounds[::2].tolist(), (bounds[1::2] - 1).tolist(), strict=True):
+        long = times_ns[last] - times_ns[first] >= _RESTING_S * 1e9
+        stands[first : last + 1] = long and abs(way_m[last] - way_m[first]) < _CREPT_M
+    return stands
 
 
 def _facing(yaws: Array, speeds: Array, ahead: Array) -> Array:

@@ -89,12 +89,12 @@ def test_many_move_as_each_would_alone() -> None:
     measurements = Measurement(value, rng.uniform(0.1, 0.5, (len(of_state), 3)))
     measured = rng.random(len(of_state)) < 0.6
     measured[first] = True
-    together = smooth(model, lengths, times_ns, measurements, measured)
+    stands = np.repeat(rng.random(len(of_state) // 2) < 0.5, 2)
+    together = smooth(model, lengths, times_ns, measurements, measured, stands)
     for number in range(5):
         own = np.flatnonzero(of_state == number)
-        alone = smooth(
-            model.where(np.array([number])), lengths[[number]], times_ns[own], measurements.where(own), measured[own]
-        )
+        one, seen = model.where(np.array([number])), measurements.where(own)
+        alone = smooth(one, lengths[[number]], times_ns[own], seen, measured[own], stands[own])
         np.testing.assert_allclose(together.mean[own], alone.mean, atol=1e-12)
         np.testing.assert_allclose(together.covariance[own], alone.covariance, atol=1e-12)
 
@@ -112,10 +112,22 @@ def test_smoothing_leaves_what_the_filter_knew_last_and_knows_more_before(
     both = Measurement(np.array([start.value, end.value]), np.array([start.sd, end.sd]))
     one = model_of([CLASSES.index(road_user)], [road_user.traits.size.size_m[0]])
     times_ns = np.array([0, round(dt_s * 1e9)])
-    smoothed = smooth(one, np.array([2]), times_ns, both, np.array([True, True]))
+    smoothed = smooth(one, np.array([2]), times_ns, both, np.array([True, True]), np.array([False, False]))
     np.testing.assert_allclose(smoothed.mean[1], filtered.mean, atol=1e-6)
     np.testing.assert_allclose(smoothed.covariance[1], filtered.covariance, atol=1e-6)
     assert np.trace(smoothed.covariance[0]) < np.trace(first.covariance)
+
+
+@given(ROAD_USERS, STATE)
+def test_who_is_seen_to_stand_has_no_speed_and_a_place_known_no_worse(
+    road_user: RoadUserClass, mean: np.ndarray
+) -> None:
+    model = usual(road_user)
+    moving = model.predict(model.first_belief(Measurement(mean[:3], np.array([0.3, 0.3, 0.1]))), 0.5)[0]
+    halted = model.halted(Belief(moving.mean + 0.1, moving.covariance))
+    assert np.hypot(*model.travel(halted.mean)[0]) < 0.01
+    assert model.speed_sd(halted) < 0.06
+    assert np.linalg.eigvalsh(moving.covariance - halted.covariance).min() > -1e-9
 
 
 def test_some_who_walk_among_some_who_drive_move_as_each_alone() -> None:

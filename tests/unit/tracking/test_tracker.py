@@ -232,6 +232,35 @@ def test_who_brakes_hard_is_seen_to_brake_when_it_does() -> None:
     assert speeds[np.searchsorted(track.times_ns, int(3.8e9))] > 8.1
 
 
+def stopping(t: float) -> tuple[float, float, float]:
+    """8 m/s, then 2 m/s² to a stop in the origin at second 6, and the other way round from second 16 on."""
+    from_stop_s = 6.0 - t if t < 6.0 else max(t - 16.0, 0.0)
+    way_m = from_stop_s**2 if from_stop_s < 4.0 else 8.0 * from_stop_s - 16.0
+    return (-way_m if t < 6.0 else way_m, 0.0, 0.0)
+
+
+def test_who_waits_stands_in_one_place_and_is_placed_better_than_while_it_drives() -> None:
+    (track,) = follow([stopping], 22, cameras=1, noise_m=0.6)
+    times_s = track.times_ns * 1e-9
+    waits = (times_s > 7.0) & (times_s < 15.0)
+    assert np.ptp(track.boxes[waits, :2], axis=0).max() < 1e-3
+    assert np.hypot(*track.velocities_mps[waits].T).max() < 0.01
+    place, _ = errors(track, stopping)
+    # the mean of 50 boxes errs by 0.09 m along each axis; the place of one who might go at any time varies by 1 m
+    assert place[waits].max() < 0.3
+    # and nothing of the way before and after is lost to the stop
+    assert np.sqrt(np.mean(place[~waits] ** 2)) < 0.5
+    assert np.hypot(*track.velocities_mps[times_s < 5.0].T).min() > 1.0
+
+
+def test_who_creeps_does_not_stand() -> None:
+    path = drive(0.25, x=0.0)
+    (track,) = follow([path], 20, cameras=1, noise_m=0.3)
+    place, _ = errors(track, path)
+    assert place.max() < 0.4
+    assert np.ptp(track.boxes[:, 0]) == pytest.approx(5.0, abs=0.4)
+
+
 def test_who_parked_in_full_view_is_one_track_though_seen_every_five_seconds_later() -> None:
     rng, tracker = np.random.default_rng(0), Tracker(TrackConfig())
     for k in range(600):
