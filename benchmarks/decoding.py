@@ -1,4 +1,7 @@
-"""What it costs to take every 4th frame of a 1440p50 recording, shrunk, against libavcodec and swscale alone.
+"""What it costs to read a 1440p50 recording: every 4th frame, shrunk, and signal heads in every frame.
+
+Every 4th frame is taken against libavcodec and swscale alone, the signal heads (two windows of 30 x 60 px, as they look
+in the whole picture) against libavcodec alone, and against converting every frame as a whole.
 
 The bare work is what ffmpeg does with the filters select and scale (flags area, accurate_rnd, full_chroma_int) to raw
 BGR: decode every frame on one thread, and shrink and convert one in four. Both read one file, made here, in turn, round
@@ -20,12 +23,14 @@ import av
 import cv2
 import numpy as np
 
-from wibam_core.video.decode import frames_nearest
+from wibam_core.video.decode import OnePass, Watcher, decode, frames_nearest
 from wibam_core.video.encode import VideoWriter
 from wibam_core.video.source import ACCURATE_BY_AREA
 
 WIDTH_PX, HEIGHT_PX, FPS = 2560, 1440, 50
 EVERY = 4
+#: Windows of signal heads, px.
+HEADS = [(500, 300, 530, 360), (1600, 300, 1630, 360)]
 
 
 def make_recording(path: Path, frames: int) -> None:
@@ -64,6 +69,27 @@ def ours(path: Path, width_px: int, wanted: int) -> int:
     return sum(1 for _ in frames_nearest(path, times_ns, tolerance_ns=1_000_000, width_px=width_px))
 
 
+def decoded(path: Path, _: int, __: int) -> int:
+    """Decode all frames and do nothing with them; returns how many."""
+    with av.open(str(path)) as container:
+        stream = container.streams.video[0]
+        stream.codec_context.thread_count = 1
+        return sum(1 for _ in container.decode(stream))
+
+
+def heads(path: Path, _: int, __: int) -> int:
+    """Look at the signal heads in every frame, as `sync` does; returns how many frames."""
+    shown: list[int] = []
+    watcher = Watcher(HEADS, (WIDTH_PX, HEIGHT_PX), lambda time_ns, _: shown.append(time_ns))
+    OnePass(path, watcher=watcher).finish()
+    return len(shown)
+
+
+def whole(path: Path, _: int, __: int) -> int:
+    """Convert every frame; returns how many."""
+    return sum(1 for _ in decode(path))
+
+
 def cpu_s(work: Callable[[Path, int, int], int], path: Path, width_px: int, wanted: int) -> float:
     start = time.process_time()
     taken = work(path, width_px, wanted)
@@ -82,12 +108,23 @@ def main() -> None:
         path = Path(temporary) / "recording.mp4"
         make_recording(path, arguments.frames)
         wanted = -(-arguments.frames // EVERY)
-        work = (bare, ours)
-        taken = [[cpu_s(one, path, arguments.width, wanted) for one in work] for _ in range(arguments.rounds + 1)]
-    rounds = np.array(taken[1:])  # the first one warms up
-    for name, seconds in zip(("bare", "ours"), np.median(rounds, axis=0) / arguments.frames, strict=True):
-        print(f"{name}: {1e3 * seconds:.2f} ms a frame")
-    print(f"ratio: {np.median(rounds[:, 1] / rounds[:, 0]):.3f}")
+        works = {
+            bare: wanted,
+            ours: wanted,
+            decoded: arguments.frames,
+            heads: arguments.frames,
+            whole: arguments.frames,
+        }
+        cpu_s(bare, path, arguments.width, wanted)  # warms up
+        taken = [
+            [cpu_s(work, path, arguments.width, frames) for work, frames in works.items()]
+            for _ in range(arguments.rounds)
+        ]
+    rounds = dict(zip((work.__name__ for work in works), np.array(taken).T, strict=True))
+    for name, seconds in rounds.items():
+        print(f"{name}: {1e3 * np.median(seconds) / arguments.frames:.2f} ms a frame")
+    for name, beside in (("ours", "bare"), ("heads", "decoded"), ("whole", "decoded")):
+        print(f"{name} / {beside}: {np.median(rounds[name] / rounds[beside]):.3f}")
 
 
 if __name__ == "__main__":

@@ -108,12 +108,11 @@ def _cpu_s(footage: Footage, config: PipelineConfig, bfloat16: bool, rounds: flo
     tracked = min(config.track.rate_hz * per_second, stored)
     decoded_jpeg = 0.003 * footage.stored_megapixels
     found, looked_at = 0.0075, 0.0185  # an image: the detector, and the second look at what it finds
-    # where the traffic only decides between cycles of the lights, every other frame is nearly always enough
+    asks_lights = footage.has_signals and config.sync.method != "traffic"
+    # where the lights may be enough, every other frame of the traffic is looked at beside them
     only_decides = footage.has_signals and config.sync.method == "auto"
     watched = min(config.sync.traffic_rate_hz / (1 + only_decides) * per_second, stored)
-    asks_lights = footage.has_signals and config.sync.method != "traffic"
-    # which of the lights and the traffic "auto" needs depends on what they show
-    asks_traffic = {"traffic": 1.0, "both": 1.0, "auto": 0.5 if footage.has_signals else 1.0}.get(config.sync.method, 0)
+    watched *= config.sync.method != "signals"
     image = 0.033 * network / 0.23  # the 3D network and its second look, an image
     of_val = max(config.dataset.val_share, 0.0) * footage.seconds + 2 * config.dataset.gap_s
     # associated, and fitted without each camera in turn where that judges
@@ -127,7 +126,7 @@ def _cpu_s(footage: Footage, config: PipelineConfig, bfloat16: bool, rounds: flo
         "calibrate": 0.3,
         "sync": 0.0
         if config.sync.method == "none"
-        else 0.5 + asks_lights * 1.4 * decoding + asks_traffic * (decoding + found * watched),
+        else 0.5 + decoding + asks_lights * 0.0004 * footage.frames + found * watched,
         "frames": 0.5 + decoding + 0.004 * footage.stored_megapixels * stored,
         "detect": 1.0 + (found + decoded_jpeg) * searched + (config.detect.refine != "off") * looked_at * searched,
         "rounds": 0.3

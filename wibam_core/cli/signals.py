@@ -14,9 +14,10 @@ from rich.table import Table
 from wibam_core.config import SyncConfig
 from wibam_core.errors import InputError, NoSignalChange
 from wibam_core.site import SignalRegion
-from wibam_core.sync.changes import detect_changes
+from wibam_core.sync.changes import SignalWatch
 from wibam_core.sync.document import seen_change
-from wibam_core.video.decode import decode
+from wibam_core.video.decode import OnePass, Watcher
+from wibam_core.video.seeking import read_header
 
 _USUAL = SyncConfig()
 
@@ -37,8 +38,10 @@ def signals(
 ) -> None:
     """Print when traffic lights change in a recording: time s, from, to, confidence."""
     heads = [_parse_region(text, number) for number, text in enumerate(region, start=1)]
-    seen = detect_changes(decode(video), video.stem, heads, min_lit_share)
-    found = [change for change in seen if change.confidence >= min_confidence]
+    header = read_header(video)
+    watch = SignalWatch(video.stem, heads, header.width_px, header.height_px)
+    OnePass(video, watcher=Watcher(watch.windows, (header.width_px, header.height_px), watch.add)).finish()
+    found = [change for change in watch.changes(min_lit_share) if change.confidence >= min_confidence]
     console = Console()
     if as_json:
         console.print_json(json.dumps([seen_change(change).model_dump(exclude_none=True) for change in found]))

@@ -2,37 +2,27 @@
 
 from __future__ import annotations
 
-import threading
-from collections.abc import Iterable, Iterator, Mapping, Sequence
-from concurrent.futures import ThreadPoolExecutor
+from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from itertools import pairwise
 
-import numpy as np
-from numpy.typing import NDArray
-
-from wibam_core.artifacts.catalogue import CALIBRATED_RIG, CHANGES, CLOCKS, PROBE
+from wibam_core.artifacts.catalogue import CHANGES, CLOCKS, PROBE
 from wibam_core.clocks import ClockMap, SignalChange
 from wibam_core.config import SyncConfig
 from wibam_core.documents.recordings import VideoInfo
 from wibam_core.documents.synchronisation import Synchronisation
 from wibam_core.errors import MissingCamera, NoSignalChange, UnknownClock
 from wibam_core.formats.clocks import Clocks
-from wibam_core.progress import Progress, part
-from wibam_core.site import SiteCamera
+from wibam_core.progress import part
 from wibam_core.stages.base import StageContext, Summary
 from wibam_core.stages.passing import Passing
-from wibam_core.sync.changes import detect_changes
+from wibam_core.sync.changes import SignalWatch
 from wibam_core.sync.document import LEAST_SHARE, ambiguities, doubts, sync_document
+from wibam_core.sync.paths import GroundPath
 from wibam_core.sync.segments import InSegments, Span, synchronise_segments
-from wibam_core.video.decode import decode
-
-Frame = tuple[int, NDArray[np.uint8]]
 
 #: What places a segment no better than to a second.
 _UNSURE = ("assumed", "creation_time", "name")
-_DECODERS = 2
-_FRAMES_PER_REPORT = 50
 
 
 def run(context: StageContext, config: SyncConfig) -> Summary:
@@ -54,14 +44,14 @@ def run(context: StageContext, config: SyncConfig) -> Summary:
         if camera_id not in context.recordings:
             raise MissingCamera(f"there is no recording for camera {camera_id}", camera=camera_id)
     infos = {camera_id: context.read(PROBE).cameras[camera_id] for camera_id in context.site.camera_ids}
-    changes: dict[str, list[SignalChange]] = {}
-    if config.method != "traffic":
-        whole = config.method == "signals"
-        changes = _detect_all(context, config, whole, part(context.progress, 0.0, 1.0 if whole else 0.3))
-    found = None if config.method in ("traffic", "both") else _by_lights(context, config, infos, changes)
-    if found is None or not (config.method == "signals" or _is_sure(found)):
-        decides = found is not None and found.found.is_ambiguous and _is_sound(found)
-        found = _by_traffic(context, config, infos, changes, decides)
+    passing, watches = Passing(context, infos), _watches(context, config, infos)
+    if config.method == "signals":
+        passing.lights(watches, context.progress)
+        changes = _changes(watches, config)
+        found = _by_lights(context, config, infos, changes)
+        assert found is not None, "lights that are asked alone answer or raise"
+    else:
+        found, changes = _with_traffic(context, config, infos, passing, watches)
     context.progress(1.0)
     by_camera = found.found
     result = by_camera.result
@@ -94,35 +84,44 @@ def _by_lights(
         return None
 
 
-def _by_traffic(
+def _with_traffic(
     context: StageContext,
     config: SyncConfig,
     infos: Mapping[str, VideoInfo],
-    changes: Mapping[str, Sequence[SignalChange]],
-    decides: bool,
-) -> InSegments:
-    """What the traffic and the lights say together.
+    passing: Passing,
+    watches: Mapping[str, SignalWatch],
+) -> tuple[InSegments, dict[str, list[SignalChange]]]:
+    """What the lights say, and the traffic where it is asked for or they leave anything open; and all light changes.
 
-    Where it only ``decides`` between offsets that sound lights leave open, and the lights measure, every other frame is
-    looked at first, and the others if that does not decide.
+    Each recording is decoded once, for both: whether the lights are enough is known at the end. Where they may be,
+    every other frame of the traffic is looked at on the way, which is enough to decide between offsets that sound
+    lights leave open. The others are looked at in a second pass if that does not decide.
     """
-    passing = Passing(context, context.read(CALIBRATED_RIG), infos)
+    may_do = config.method == "auto" and set(watches) == set(infos)
+    rate_hz = config.traffic_rate_hz / (2 if may_do else 1)
+    paths = passing.paths(rate_hz, part(context.progress, 0.0, 0.65 if may_do else 1.0), watches)
+    changes = _changes(watches, config)
 
-    def asked(rate_hz: float, first: float, last: float) -> InSegments:
+    def together(paths: Mapping[str, Sequence[GroundPath]]) -> InSegments:
         return synchronise_segments(
             _segments_s(infos),
             context.site.camera_ids[0],
             changes=_confident(changes, config),
-            paths=passing.paths(rate_hz, part(context.progress, first, last)),
+            paths=paths,
             max_offset_s=config.max_offset_s,
         )
 
-    if decides:
+    if not may_do:
+        return together(paths), changes
+    lights = _by_lights(context, config, infos, changes)
+    if lights is not None and _is_sure(lights):
+        return lights, changes
+    if lights is not None and lights.found.is_ambiguous and _is_sound(lights):
         with suppress(NoSignalChange, UnknownClock):
-            found = asked(config.traffic_rate_hz / 2, 0.3, 0.65)
+            found = together(paths)
             if _is_sure(found) and not found.found.disagreeing:
-                return found
-    return asked(config.traffic_rate_hz, 0.65 if decides else 0.3, 1.0)
+                return found, changes
+    return together(passing.paths(config.traffic_rate_hz, part(context.progress, 0.65, 1.0))), changes
 
 
 def _is_sure(found: InSegments) -> bool:
@@ -151,51 +150,21 @@ def _segments_s(infos: Mapping[str, VideoInfo]) -> dict[str, list[Span]]:
     return found
 
 
-def _detect_all(
-    context: StageContext, config: SyncConfig, whole: bool, listener: Progress
-) -> dict[str, list[SignalChange]]:
-    """Changes by camera; with ``whole`` every camera must have a signal region, else those without are left out."""
-    cameras = [camera for camera in context.site.cameras if whole or camera.signals]
-    for camera in cameras:
-        if not camera.signals:
+def _watches(context: StageContext, config: SyncConfig, infos: Mapping[str, VideoInfo]) -> dict[str, SignalWatch]:
+    """What watches the signals of each camera that has any; all must have where the lights are asked alone."""
+    for camera in context.site.cameras:
+        if config.method == "signals" and not camera.signals:
             raise NoSignalChange(
                 f"camera {camera.id} has no signal region",
                 hint="Draw a region around a signal head in this camera, or set sync.method to 'auto' or 'traffic'.",
                 camera=camera.id,
             )
-    if not cameras:
-        return {}
-    recorded = context.read(PROBE).cameras
-    ends_ns = {camera.id: (recorded[camera.id].first_ns, recorded[camera.id].last_ns) for camera in cameras}
-    progress = _SharedProgress(listener, ends_ns)
-
-    def detect(camera: SiteCamera) -> list[SignalChange]:
-        size_px = (recorded[camera.id].width_px, recorded[camera.id].height_px)
-        frames = progress.watch(camera.id, decode(context.recordings[camera.id], size_px=size_px))
-        return detect_changes(frames, camera.id, camera.signals, config.min_lit_share)
-
-    with ThreadPoolExecutor(_DECODERS) as pool:
-        return dict(zip(ends_ns, pool.map(detect, cameras), strict=True))
+    return {
+        camera.id: SignalWatch(camera.id, camera.signals, infos[camera.id].width_px, infos[camera.id].height_px)
+        for camera in context.site.cameras
+        if camera.signals and config.method != "traffic"
+    }
 
 
-class _SharedProgress:
-    """How far all cameras are, told from several threads."""
-
-    def __init__(self, listener: Progress, ends_ns: Mapping[str, tuple[int, int]]) -> None:
-        self._listener, self._ends_ns = listener, ends_ns
-        self._done = dict.fromkeys(ends_ns, 0.0)
-        self._lock = threading.Lock()
-
-    def watch(self, camera_id: str, frames: Iterable[Frame]) -> Iterator[Frame]:
-        """Pass ``frames`` on, telling how far they are."""
-        first_ns, last_ns = self._ends_ns[camera_id]
-        for number, frame in enumerate(frames):
-            if number % _FRAMES_PER_REPORT == 0:
-                self._tell(camera_id, (frame[0] - first_ns) / max(last_ns - first_ns, 1))
-            yield frame
-        self._tell(camera_id, 1.0)
-
-    def _tell(self, camera_id: str, share: float) -> None:
-        with self._lock:
-            self._done[camera_id] = min(max(share, 0.0), 1.0)
-            self._listener(sum(self._done.values()) / len(self._done), f"watching the signals in {camera_id}")
+def _changes(watches: Mapping[str, SignalWatch], config: SyncConfig) -> dict[str, list[SignalChange]]:
+    return {camera_id: watch.changes(config.min_lit_share) for camera_id, watch in watches.items()}

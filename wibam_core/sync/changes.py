@@ -12,6 +12,7 @@ from wibam_core.errors import InputError
 from wibam_core.site import SignalRegion
 from wibam_core.sync.lamps import BINS, COLOURS, colour_profile, learn_lamps
 from wibam_core.sync.states import STATES, most_likely_states, state_evidence, switch_costs
+from wibam_core.video.windows import Window
 
 Image = NDArray[np.uint8]
 Array = NDArray[np.float64]
@@ -23,7 +24,12 @@ _CONFIDENCE_WINDOW_S = 1.0
 
 
 class RegionWatcher:
-    """Collects what one signal region shows. Keeps 36 numbers a frame, never a frame."""
+    """Collects what one signal region shows. Keeps 36 numbers a frame, never a frame.
+
+    Attributes:
+        signal: the region as it was given.
+        window: what of the image is looked at.
+    """
 
     def __init__(self, signal: SignalRegion, width_px: int, height_px: int) -> None:
         """
@@ -46,14 +52,14 @@ class RegionWatcher:
                 signal=signal.id,
             )
         self.signal = signal
-        self._window = np.s_[y0:y1, x0:x1]
+        self.window: Window = (x0, y0, x1, y1)
         self._times_ns: list[int] = []
         self._profiles: list[Array] = []
 
     def add(self, time_ns: int, image: Image) -> None:
-        """Look at the next frame: its time on the camera's own clock, and the whole image (h, w, 3), BGR."""
+        """Look at the next frame: its time on the camera's own clock, and the window's image (h, w, 3), BGR."""
         self._times_ns.append(time_ns)
-        self._profiles.append(colour_profile(image[self._window]).astype(np.float32))
+        self._profiles.append(colour_profile(image).astype(np.float32))
 
     def changes(self, camera_id: str, min_lit_share: float) -> list[SignalChange]:
         """The changes in all frames added so far, by time, see `changes_of_profiles`."""
@@ -122,12 +128,53 @@ def _clarity(times_ns: NDArray[np.int64], evidence: Array) -> float:
     return float(evidence[near].mean())
 
 
+class SignalWatch:
+    """Collects what all signal regions of one camera show, in one pass over its frames.
+
+    Args:
+        camera_id: whose frames.
+        signals: regions, px of the frames.
+        width_px, height_px: of the frames.
+
+    Raises:
+        InputError: if a region lies outside the image.
+    """
+
+    def __init__(self, camera_id: str, signals: Sequence[SignalRegion], width_px: int, height_px: int) -> None:
+        self._camera_id = camera_id
+        self._watchers = [RegionWatcher(signal, width_px, height_px) for signal in signals]
+
+    @property
+    def windows(self) -> list[Window]:
+        """What of the image is looked at, a window a region."""
+        return [watcher.window for watcher in self._watchers]
+
+    def add(self, time_ns: int, images: Sequence[Image]) -> None:
+        """Look at the next frame: its time on the camera's own clock, and each window's image (h, w, 3), BGR."""
+        for watcher, image in zip(self._watchers, images, strict=True):
+            watcher.add(time_ns, image)
+
+    def changes(self, min_lit_share: float) -> list[SignalChange]:
+        """Changes of all signals in all frames added so far, by time.
+
+        Where several regions carry the same signal id, the one whose changes are clearest speaks for it.
+
+        Args:
+            min_lit_share: of its frames in which a region must clearly show a state.
+        """
+        best: dict[str, list[SignalChange]] = {}
+        for watcher in self._watchers:
+            found = watcher.changes(self._camera_id, min_lit_share)
+            held = best.get(watcher.signal.id, [])
+            if sum(c.confidence for c in found) > sum(c.confidence for c in held):
+                best[watcher.signal.id] = found
+        return sorted((change for found in best.values() for change in found), key=lambda change: change.time_ns)
+
+
 def detect_changes(
     frames: Iterable[tuple[int, Image]], camera_id: str, signals: Sequence[SignalRegion], min_lit_share: float
 ) -> list[SignalChange]:
-    """Changes of several signals of one camera in one pass over its frames, by time.
-
-    Where several regions carry the same signal id, the one whose changes are clearest speaks for it.
+    """Changes of several signals of one camera in whole images, as `SignalWatch` finds them.
 
     Args:
         frames: (time_ns on the camera's own clock, BGR image), in order; one frame is held at a time.
@@ -138,16 +185,8 @@ def detect_changes(
     Raises:
         InputError: if a region lies outside the image.
     """
-    watchers: list[RegionWatcher] = []
+    watch: SignalWatch | None = None
     for time_ns, image in frames:
-        if not watchers:
-            watchers = [RegionWatcher(signal, image.shape[1], image.shape[0]) for signal in signals]
-        for watcher in watchers:
-            watcher.add(time_ns, image)
-    best: dict[str, list[SignalChange]] = {}
-    for watcher in watchers:
-        found = watcher.changes(camera_id, min_lit_share)
-        held = best.get(watcher.signal.id, [])
-        if sum(c.confidence for c in found) > sum(c.confidence for c in held):
-            best[watcher.signal.id] = found
-    return sorted((change for found in best.values() for change in found), key=lambda change: change.time_ns)
+        watch = watch or SignalWatch(camera_id, signals, image.shape[1], image.shape[0])
+        watch.add(time_ns, [image[y0:y1, x0:x1] for x0, y0, x1, y1 in watch.windows])
+    return watch.changes(min_lit_share) if watch else []

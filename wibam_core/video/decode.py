@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Set
+from collections.abc import Callable, Iterable, Iterator, Sequence, Set
 from contextlib import ExitStack, suppress
 from dataclasses import dataclass
 from pathlib import Path
@@ -17,6 +17,7 @@ from wibam_core.video.picture import Deinterlacer, Image, Orientation, Size, to_
 from wibam_core.video.recording import Recording
 from wibam_core.video.source import open_video
 from wibam_core.video.timeline import UNUSED, TimedFile, read_timeline
+from wibam_core.video.windows import Window, Windows
 
 #: A frame is shown after at most so many that are decoded later: the largest buffer of H.264 and H.265.
 _LONGEST_WAIT = 17
@@ -36,6 +37,21 @@ class NearestFrame:
     target_ns: int
     time_ns: int
     image_bgr: Image
+
+
+@dataclass(frozen=True, eq=False)
+class Watcher:
+    """Somebody who is shown windows of every frame on the way.
+
+    Attributes:
+        windows: where they are in the pictures, px.
+        size_px: width and height that pictures are brought to where they have others.
+        show: is given each frame's time, and the windows' pictures, (H, W, 3) uint8, BGR.
+    """
+
+    windows: Sequence[Window]
+    size_px: Size
+    show: Callable[[int, list[Image]], None]
 
 
 def decode(
@@ -97,6 +113,7 @@ class OnePass:
         among: times of the frames that count; None: all.
         size_px, width_px: as in `decode`.
         threads: decoding threads.
+        watcher: who is shown windows of every frame that is passed, whether it counts or not.
     """
 
     def __init__(
@@ -107,8 +124,11 @@ class OnePass:
         size_px: Size | None = None,
         width_px: int | None = None,
         threads: int = 1,
+        watcher: Watcher | None = None,
     ) -> None:
         frames = _frames(recording, threads)
+        if watcher is not None:
+            frames = _shown(frames, watcher)
         self._frames = frames if among is None else (frame for frame in frames if frame[0] in among)
         self._size_px, self._width_px = size_px, width_px
         self._before: _Frame | None = None
@@ -116,8 +136,8 @@ class OnePass:
         self._last_target_ns: int | None = None
         self._chosen: NearestFrame | None = None
 
-    def nearest(self, target_ns: int, tolerance_ns: int) -> NearestFrame | None:
-        """The frame nearest to a time (the earlier of two equally near), None where none is within the tolerance.
+    def pass_to(self, target_ns: int) -> None:
+        """Read all frames before a time, and the first one from there on.
 
         Raises:
             UnreadableVideo: the file cannot be opened.
@@ -130,6 +150,20 @@ class OnePass:
         self._last_target_ns = target_ns
         while self._after is not None and self._after[0] < target_ns:
             self._before, self._after = self._after, next(self._frames, None)
+
+    def finish(self) -> None:
+        """Read all frames that are left, for whoever watches them."""
+        for _ in self._frames:
+            pass
+
+    def nearest(self, target_ns: int, tolerance_ns: int) -> NearestFrame | None:
+        """The frame nearest to a time (the earlier of two equally near), None where none is within the tolerance.
+
+        Raises:
+            UnreadableVideo: the file cannot be opened.
+            ValueError: a later time was asked for before.
+        """
+        self.pass_to(target_ns)
         candidates = [frame for frame in (self._before, self._after) if frame is not None]
         if not candidates:
             return None
@@ -143,6 +177,14 @@ class OnePass:
             image = self._chosen.image_bgr
         self._chosen = NearestFrame(target_ns, time_ns, image)
         return self._chosen
+
+
+def _shown(frames: Iterator[_Frame], watcher: Watcher) -> Iterator[_Frame]:
+    """Pass frames on, showing windows of each."""
+    windows = Windows(watcher.windows, watcher.size_px)
+    for time_ns, frame, orientation in frames:
+        watcher.show(time_ns, windows.of(frame, orientation))
+        yield time_ns, frame, orientation
 
 
 def _frames(recording: Path | Recording, threads: int) -> Iterator[_Frame]:

@@ -114,14 +114,19 @@ def test_a_camera_that_was_off_for_an_unknown_time_is_found_again(tmp_path):
     assert not made.read(CHANGES).cameras["cam2"].assumed_from_s
 
 
-class MadeWays:
-    """Stands where the vehicles of the recordings would be searched for: ways that are made, of known times."""
+class MadeWays(passing.Passing):
+    """Watches the lights; instead of searching for vehicles, it has ways that are made, of known times."""
 
     def __init__(self, seen_at):
         self.asked, self._seen_at = [], seen_at
 
-    def paths(self, rate_hz, progress):
-        self.asked.append(rate_hz)
+    def of(self, context, infos):
+        super().__init__(context, infos)
+        return self
+
+    def paths(self, rate_hz, progress, lights=None):
+        self.asked.append((rate_hz, sorted(lights or {})))
+        self.lights(lights or {}, progress)
         rng = np.random.default_rng(5)
         vehicles = [(0.2 * begin_s, *rest) for begin_s, *rest in drives(rng, 70)]
         rate_hz = rate_hz if rate_hz in self._seen_at else 0.5
@@ -134,11 +139,12 @@ def test_traffic_that_only_decides_between_cycles_is_watched_at_half_the_rate_fi
 ):
     """In the second case, too few sightings of a way are left at half the rate."""
     made, told = MadeWays(seen_at), []
-    monkeypatch.setattr(sync, "Passing", lambda *_: made)
+    monkeypatch.setattr(sync, "Passing", made.of)
     context = context_of(folder, tmp_path, told=told)
     StageFolders(tmp_path).give(CALIBRATED_RIG, corner_rig(3))
     sync.run(context, SyncConfig())
-    assert made.asked == asked
+    # each recording is decoded once for both witnesses; the lights are not watched again
+    assert made.asked == list(zip(asked, [sorted(STARTS), []], strict=False))
     document = StageFolders(tmp_path).read(CHANGES)
     assert document.method == "both" and document.cameras["cam2"].decided_by_traffic
     assert not any(camera.ambiguous for camera in document.cameras.values())
@@ -151,11 +157,15 @@ def test_traffic_that_only_decides_between_cycles_is_watched_at_half_the_rate_fi
 
 def test_traffic_that_measures_is_watched_at_the_full_rate_alone(folder, tmp_path, monkeypatch):
     made = MadeWays((5.0,))
-    monkeypatch.setattr(sync, "Passing", lambda *_: made)
+    monkeypatch.setattr(sync, "Passing", made.of)
     context = context_of(folder, tmp_path)
     StageFolders(tmp_path).give(CALIBRATED_RIG, corner_rig(3))
     sync.run(context, SyncConfig(method="traffic"))
-    assert made.asked == [5.0]
+    assert made.asked == [(5.0, [])]
+    made = MadeWays((5.0,))
+    monkeypatch.setattr(sync, "Passing", made.of)
+    sync.run(context, SyncConfig(method="both"))
+    assert made.asked == [(5.0, sorted(STARTS))]
 
 
 class BrightDetector:
@@ -181,12 +191,13 @@ def test_what_was_seen_in_a_frame_is_kept_for_when_more_frames_are_asked_for(tmp
             writer.write(image, number * 100_000_000)
     folders = StageFolders(tmp_path / "out")
     context = folders.context("sync", site_of(corner_rig(1)), {"cam1": Recording.at(recording)})
+    folders.give(CALIBRATED_RIG, corner_rig(1))
     infos = {"cam1": probe(recording)}
-    watched = passing.Passing(context, corner_rig(1), infos)
+    watched = passing.Passing(context, infos)
     assert len(watched.paths(2.5, silent)["cam1"]) == 1 and BrightDetector.looks == 15
     [again] = watched.paths(5.0, silent)["cam1"]
     assert BrightDetector.looks == 30
-    [fresh] = passing.Passing(context, corner_rig(1), infos).paths(5.0, silent)["cam1"]
+    [fresh] = passing.Passing(context, infos).paths(5.0, silent)["cam1"]
     assert BrightDetector.looks == 60 and len(fresh) == 30
     for name, values in vars(fresh).items():
         np.testing.assert_array_equal(getattr(again, name), values)
