@@ -13,7 +13,7 @@ from av.video.codeccontext import VideoCodecContext
 from av.video.frame import VideoFrame
 
 from wibam_core.video.packets import numbered
-from wibam_core.video.picture import Deinterlacer, Image, Orientation, Size, to_bgr
+from wibam_core.video.picture import Deinterlacer, Image, Orientation, Orientations, Size, to_bgr
 from wibam_core.video.recording import Recording
 from wibam_core.video.source import open_video
 from wibam_core.video.timeline import UNUSED, TimedFile, read_timeline
@@ -192,15 +192,15 @@ def _frames(recording: Path | Recording, threads: int) -> Iterator[_Frame]:
     recording = Recording.at(recording) if isinstance(recording, Path) else recording
     deinterlacer = Deinterlacer()
     last_ns: int | None = None
-    for time_ns, frame in _timed(recording, threads):
+    for time_ns, frame, orientation in _timed(recording, threads):
         if frame.is_corrupt or (last_ns is not None and time_ns <= last_ns):
             continue
         last_ns = time_ns
-        yield from deinterlacer.push(time_ns, frame, Orientation.of(frame))
+        yield from deinterlacer.push(time_ns, frame, orientation)
     yield from deinterlacer.flush()
 
 
-def _timed(recording: Recording, threads: int) -> Iterator[tuple[int, VideoFrame]]:
+def _timed(recording: Recording, threads: int) -> Iterator[_Frame]:
     """Decoded frames with their times, those without one left out. Packets are numbered, and so frames find theirs."""
     decoder: VideoCodecContext | None = None
     clock = _FrameClock()
@@ -233,15 +233,17 @@ class _FrameClock:
 
     def __init__(self) -> None:
         self._files: list[tuple[int, TimedFile, _ShownOrder | None]] = []
+        self._orientations = Orientations()
 
     def add(self, file: TimedFile) -> int:
         """Go on with a file; returns the number of its first packet."""
         first = self._files[-1][0] + len(self._files[-1][1].times_ns) if self._files else 0
+        self._orientations = self._orientations if file.goes_on else Orientations()
         self._files.append((first, file, _ShownOrder(file) if file.packets.in_order else None))
         return first
 
-    def timed(self, frames: Iterable[VideoFrame]) -> Iterator[tuple[int, VideoFrame]]:
-        """Frames in the order shown, with their times."""
+    def timed(self, frames: Iterable[VideoFrame]) -> Iterator[_Frame]:
+        """Frames in the order shown, with their times, and how they are shown."""
         for frame in frames:
             if frame.pts is None:
                 continue
@@ -250,7 +252,7 @@ class _FrameClock:
             if number < len(file.times_ns):
                 time_ns = int(file.times_ns[number]) if order is None else order.time_ns(number)
                 if time_ns != UNUSED:
-                    yield time_ns, frame
+                    yield time_ns, frame, self._orientations.of(frame)
 
 
 class _ShownOrder:

@@ -21,7 +21,7 @@ from wibam_core.errors import UnreadableVideo
 from wibam_core.video.edits import shown_stretches
 from wibam_core.video.h264 import H264Packets
 from wibam_core.video.joined import joined_at
-from wibam_core.video.picture import Orientation, Size
+from wibam_core.video.picture import Orientation, Orientations, Size
 from wibam_core.video.recording import RecordingFile
 from wibam_core.video.source import ns_from_pts, open_video, video_streams
 from wibam_core.video.stamps import unwrapped_ns
@@ -231,6 +231,7 @@ class _Reader:
         self.numbers: list[int] = []
         self.stamps: list[int] = []
         self.looks: dict[int, Look] = {}
+        self._orientations = Orientations()
         self.packets = self.hidden = self.lead_in = self.unstamped = self.smeared = 0
         self._first_byte = self._last_byte = 0
         self._is_broken = False
@@ -318,7 +319,7 @@ class _Reader:
         sound = [frame for frame in frames if not frame.is_corrupt]
         if not sound:
             return False
-        look = look_of(sound[0], self._stream)
+        look = look_of(sound[0], self._stream, self._orientations)
         if not self.looks or look != next(reversed(self.looks.values())):
             self.looks[number] = look
         return True
@@ -330,8 +331,8 @@ def _header(packet: Packet) -> bytes:
     return found[0] if found else b""
 
 
-def look_of(frame: VideoFrame, stream: VideoStream) -> Look:
-    """How a frame is stored and shown.
+def look_of(frame: VideoFrame, stream: VideoStream, orientations: Orientations) -> Look:
+    """How a frame is stored and shown; ``orientations`` are those of its file.
 
     Raises:
         UnreadableVideo: it is shown turned by something else than quarters.
@@ -339,7 +340,7 @@ def look_of(frame: VideoFrame, stream: VideoStream) -> Look:
     aspect = stream.sample_aspect_ratio or stream.codec_context.sample_aspect_ratio or Fraction(1)
     return Look(
         (frame.width, frame.height),
-        Orientation.of(frame),
+        orientations.of(frame),
         Fraction(aspect) if aspect > 0 else Fraction(1),
         bool(frame.interlaced_frame),
         int(frame.color_trc) in (16, 18),  # SMPTE ST 2084, ARIB STD-B67 (ITU-T H.273)
@@ -354,8 +355,8 @@ def _first_look(file: RecordingFile) -> dict[int, Look]:
             with suppress(av.FFmpegError):
                 frames = stream.decode(packet)
             if frames:
-                return {number: look_of(frames[0], stream)}
+                return {number: look_of(frames[0], stream, Orientations())}
         with suppress(av.FFmpegError, EOFError):
             for frame in stream.decode(None):
-                return {0: look_of(frame, stream)}
+                return {0: look_of(frame, stream, Orientations())}
     raise UnreadableVideo(f"{file.name} has a video stream, but not one frame of it can be decoded")

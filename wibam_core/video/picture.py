@@ -84,6 +84,26 @@ class Orientation:
         return image
 
 
+class Orientations:
+    """How the frames of one file are shown, in the order decoded.
+
+    Side data is looked at in the first frame, and where the turn that it says changes: a frame whose side data was
+    looked at and the object that stands for these hold each other, so that its picture, megabytes of it, stays in
+    memory until Python next searches for such garbage.
+    """
+
+    def __init__(self) -> None:
+        self._last: Orientation | None = None
+        self._turn_deg = 0
+
+    def of(self, frame: VideoFrame) -> Orientation:
+        """As `Orientation.of`."""
+        if self._last is None or frame.rotation != self._turn_deg:
+            self._last = Orientation.of(frame)
+            self._turn_deg = frame.rotation
+        return self._last
+
+
 def to_bgr(frame: VideoFrame, orientation: Orientation, size_px: Size | None, width_px: int | None) -> Image:
     """A frame as it is shown, (H, W, 3) uint8.
 

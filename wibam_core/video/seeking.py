@@ -9,7 +9,7 @@ from pathlib import Path
 import av
 
 from wibam_core.errors import UnreadableVideo
-from wibam_core.video.picture import Image, Orientation, to_bgr
+from wibam_core.video.picture import Image, Orientation, Orientations, to_bgr
 from wibam_core.video.source import ns_from_pts, open_video
 
 _NS_PER_S = 1_000_000_000
@@ -60,6 +60,11 @@ def frames_from(path: Path, start_ns: int, *, width_px: int | None = None) -> It
                 container.seek(int(start_ns / _NS_PER_S / stream.time_base), stream=stream)
             except av.FFmpegError:
                 container.seek(0)  # a file without an index is read from its beginning
+        orientations = Orientations()
+
+        def shown(frame: av.VideoFrame) -> Image:
+            return to_bgr(frame, orientations.of(frame), None, width_px)
+
         before: tuple[int, av.VideoFrame] | None = None
         for frame in _decoded(container, stream):
             if frame.pts is None or frame.time_base is None:
@@ -69,15 +74,11 @@ def frames_from(path: Path, start_ns: int, *, width_px: int | None = None) -> It
                 before = time_ns, frame
                 continue
             if before is not None and time_ns > start_ns:
-                yield before[0], _shown(before[1], width_px)
+                yield before[0], shown(before[1])
             before = None
-            yield time_ns, _shown(frame, width_px)
+            yield time_ns, shown(frame)
         if before is not None:
-            yield before[0], _shown(before[1], width_px)
-
-
-def _shown(frame: av.VideoFrame, width_px: int | None) -> Image:
-    return to_bgr(frame, Orientation.of(frame), None, width_px)
+            yield before[0], shown(before[1])
 
 
 def _decoded(container: av.container.InputContainer, stream: av.video.stream.VideoStream) -> Iterator[av.VideoFrame]:

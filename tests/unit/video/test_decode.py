@@ -1,5 +1,7 @@
 from __future__ import annotations
 
+import gc
+import os
 from pathlib import Path
 
 import av
@@ -102,6 +104,30 @@ def test_a_recording_is_opened_when_the_first_frame_is_asked_for(tmp_path: Path)
 def test_frames_are_shrunk_on_the_way(recording: tuple[Path, list[int]]) -> None:
     _, image = next(decode(recording[0], width_px=32))
     assert image.shape == (24, 32, 3)
+
+
+def test_frames_are_given_back_once_they_were_seen(tmp_path: Path) -> None:
+    """A recording's frames do not gather in memory until Python searches for garbage."""
+    path = tmp_path / "a.mp4"
+    with VideoWriter(path, 1280, 720, 25.0) as writer:
+        for number in range(120):
+            writer.write(np.full((720, 1280, 3), number, np.uint8), number * FRAME_NS)
+    frame_bytes = 1280 * 720 * 3 // 2
+    gc.collect()
+    gc.disable()
+    try:
+        one_pass = OnePass(path)
+        one_pass.pass_to(20 * FRAME_NS)
+        before = resident_bytes()
+        one_pass.finish()
+        grown = resident_bytes() - before
+    finally:
+        gc.enable()
+    assert grown < 30 * frame_bytes
+
+
+def resident_bytes() -> int:
+    return int(Path("/proc/self/statm").read_text().split()[1]) * os.sysconf("SC_PAGE_SIZE")
 
 
 def test_damaged_frames_are_left_out(tmp_path: Path) -> None:
