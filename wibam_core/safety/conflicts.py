@@ -51,6 +51,8 @@ from wibam_core.scene import Track
 from wibam_core.traits import Walking
 
 Array = NDArray[np.float64]
+#: Of what is drawn of a pair for one measure: generators are made where there is anything to draw.
+Seed = tuple[int, int, int, int]
 
 #: A crash course is looked at with so much time before and after.
 _AROUND_NS = 800_000_000
@@ -153,8 +155,8 @@ def find_conflicts(
     for done, pair in enumerate(pairs):
         a, b = tracks[pair[0]], tracks[pair[1]]
         # draws depend neither on other pairs nor on what else is looked at in this one
-        rngs = [np.random.default_rng([seed, a.track_id, b.track_id, measure]) for measure in range(2)]
-        conflict = _conflict(a, b, courses.get(pair), pair in passing, config, errors, rngs)
+        seeds = ((seed, a.track_id, b.track_id, 0), (seed, a.track_id, b.track_id, 1))
+        conflict = _conflict(a, b, courses.get(pair), pair in passing, config, errors, seeds)
         if conflict is not None and conflict.probability >= config.min_probability:
             found.append(conflict)
         if done % 50 == 0:
@@ -170,15 +172,15 @@ def _conflict(
     may_cross: bool,
     config: SafetyConfig,
     errors: TrackErrors,
-    rngs: Sequence[np.random.Generator],
+    seeds: tuple[Seed, Seed],
 ) -> Conflict | None:
     if _both_walk(a, b):
         return None
     begin, end = max(a.times_ns[0], b.times_ns[0]), min(a.times_ns[-1], b.times_ns[-1])
     if _overlap_deeply(a, b, together(a, b, int(begin), int(end)), config):
         return None
-    course = None if approach_ns is None else _course(a, b, approach_ns, config, errors, rngs[0])
-    passing = _passing(a, b, config, errors, rngs[1]) if may_cross else None
+    course = None if approach_ns is None else _course(a, b, approach_ns, config, errors, seeds[0])
+    passing = _passing(a, b, config, errors, seeds[1]) if may_cross else None
     if course is None and passing is None:
         return None
     possible = np.ones(1, bool) if course is None else course.evidence.possible
@@ -265,7 +267,7 @@ def _course(
     approach_ns: NDArray[np.int64],
     config: SafetyConfig,
     errors: TrackErrors,
-    rng: np.random.Generator,
+    seed: Seed,
 ) -> _Course | None:
     """The crash course of a pair, if any version of the two has one."""
     instants = together(a, b, int(approach_ns[0]) - _AROUND_NS, int(approach_ns[-1]) + _AROUND_NS)
@@ -273,7 +275,7 @@ def _course(
     if len(instants.index_a) < least:
         return None
     instants = _within(instants, _near_in_time(a.times_ns[instants.index_a], approach_ns))
-    evidence = of_course(a, b, instants, config, errors, rng)
+    evidence = of_course(a, b, instants, config, errors, np.random.default_rng(seed))
     if not evidence.in_conflict.any():
         return None
     i, j = instants.index_a, instants.index_b
@@ -312,9 +314,7 @@ def _states(track: Track, rows: NDArray[np.int64]) -> tuple[Array, Array, Array]
     return track.boxes[rows], track.velocities_mps[rows], track.yaw_rates_radps[rows]
 
 
-def _passing(
-    a: Track, b: Track, config: SafetyConfig, errors: TrackErrors, rng: np.random.Generator
-) -> _Passing | None:
+def _passing(a: Track, b: Track, config: SafetyConfig, errors: TrackErrors, seed: Seed) -> _Passing | None:
     """The encroachment of paths that cross, if it may be short enough and neither crept."""
     found = post_encroachment(
         a,
@@ -327,7 +327,7 @@ def _passing(
     first, second = (a, b) if found.first_index == 0 else (b, a)
     if min(_speed_at(first, found.leaves_ns), _speed_at(second, found.arrives_ns)) < config.min_speed_mps:
         return None
-    return _Passing(found, encroachment_draws(a, b, found, config, errors, rng))
+    return _Passing(found, encroachment_draws(a, b, found, config, errors, np.random.default_rng(seed)))
 
 
 def classify(boxes: Array, same_direction_rad: float) -> tuple[ConflictType, float]:

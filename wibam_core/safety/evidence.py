@@ -80,6 +80,7 @@ def critical_instants(
             TurningStates(boxes_a[at], velocities_a[at], yaw_rates_a[at]),
             TurningStates(boxes_b[at], velocities_b[at], yaw_rates_b[at]),
             config.ttc_s,
+            ttc[at],
         )
     return critical, ttc
 
@@ -142,8 +143,10 @@ def in_runs(critical: Mask, consecutive: Mask, least: int) -> Mask:
 
 def _stand_in_each_other(a: Drawn, b: Drawn) -> Mask:
     """(D,) versions with deeply overlapping footprints at any instant."""
-    gap = np.hypot(*np.moveaxis(a.boxes[..., XY] - b.boxes[..., XY], -1, 0))
-    near = gap < 0.5 * (np.hypot(a.boxes[..., 3], a.boxes[..., 4]) + np.hypot(b.boxes[..., 3], b.boxes[..., 4]))
+    offset = a.boxes[..., XY] - b.boxes[..., XY]
+    near = np.hypot(offset[..., 0], offset[..., 1]) < 0.5 * (
+        np.hypot(a.boxes[..., LENGTH], a.boxes[..., WIDTH]) + np.hypot(b.boxes[..., LENGTH], b.boxes[..., WIDTH])
+    )
     deep = np.zeros(near.shape, bool)
     deep[near] = footprints_touch(shrunk(a.boxes[near], _DEPTH_M), shrunk(b.boxes[near], _DEPTH_M))
     return np.asarray(deep.any(axis=1))
@@ -179,7 +182,7 @@ def encroachment_draws(
     for first in range(0, len(i), _BAND):
         band_i, band_j = i[first : first + _BAND], j[first : first + _BAND]
         offset = boxes_a[open_draws][:, band_i, :2] - boxes_b[open_draws][:, band_j, :2]
-        row, column = np.nonzero((offset**2).sum(axis=-1) < reach2[open_draws, None])
+        row, column = np.nonzero(offset[..., 0] ** 2 + offset[..., 1] ** 2 < reach2[open_draws, None])
         d = open_draws[row]
         touch = footprints_touch(boxes_a[d, band_i[column]], boxes_b[d, band_j[column]])
         found_draws, at = np.unique(row[touch], return_index=True)

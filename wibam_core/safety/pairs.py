@@ -110,9 +110,9 @@ def approaching(
         i, j = i + start, j + start
         offset = every.place[j] - every.place[i]
         velocity = every.velocity[j] - every.velocity[i]
-        closing2 = (velocity**2).sum(axis=1)
-        approach = -(offset * velocity).sum(axis=1)
-        distance2 = (offset**2).sum(axis=1)
+        closing2 = _dot(velocity, velocity)
+        approach = -_dot(offset, velocity)
+        distance2 = _dot(offset, offset)
         reach = every.reach[i] + every.reach[j] + every.margin[i] + every.margin[j]
         speed = np.sqrt(closing2) + _SPEED_MARGIN_MPS
         gap = np.sqrt(distance2) - reach
@@ -132,6 +132,11 @@ def approaching(
         return {}
     one, other = np.concatenate(found, axis=1)
     return _by_pair(every, one, other, _may_be_critical(every, one, other, config, errors))
+
+
+def _dot(one: Array, other: Array) -> Array:
+    """Inner products (N,) of vectors (N, 2)."""
+    return one[:, 0] * other[:, 0] + one[:, 1] * other[:, 1]
 
 
 def _may_be_critical(
@@ -228,8 +233,11 @@ def together(a: Track, b: Track, begin_ns: int, end_ns: int) -> PairInstants:
     """The instants from ``begin_ns`` to ``end_ns`` that both tracks have."""
     first_a, last_a = np.searchsorted(a.times_ns, [begin_ns, end_ns + 1]).tolist()
     first_b, last_b = np.searchsorted(b.times_ns, [begin_ns, end_ns + 1]).tolist()
-    _, index_a, index_b = np.intersect1d(
-        a.times_ns[first_a:last_a], b.times_ns[first_b:last_b], assume_unique=True, return_indices=True
-    )
+    times_a, times_b = a.times_ns[first_a:last_a], b.times_ns[first_b:last_b]
+    if not len(times_a) or not len(times_b):
+        return PairInstants(np.zeros(0, np.int64), np.zeros(0, np.int64), np.zeros(0, bool))
+    index_b = np.minimum(np.searchsorted(times_b, times_a), len(times_b) - 1)
+    index_a = np.flatnonzero(times_b[index_b] == times_a)
+    index_b = index_b[index_a]
     step = (np.diff(index_a) == 1) & (np.diff(index_b) == 1)
     return PairInstants(index_a + first_a, index_b + first_b, np.r_[False, step][: len(index_a)])

@@ -7,6 +7,7 @@ witnesses.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -67,12 +68,12 @@ def draw(track: Track, rows: NDArray[np.int64], errors: TrackErrors, count: int,
     time. Unknown standard deviations count as none.
     """
     time_s = (track.times_ns[rows] - track.times_ns[rows[0]]) * 1e-9
-    box, sd = track.boxes[rows], np.nan_to_num(track.sd[rows])
+    box, sd = track.boxes[rows], track.sd[rows]
+    sd = np.where(np.isfinite(sd), sd, 0.0)
     c, s = np.cos(box[:, YAW]), np.sin(box[:, YAW])
     sd_along, sd_across = np.hypot(c * sd[:, X], s * sd[:, Y]), np.hypot(s * sd[:, X], c * sd[:, Y])
-    along, along_rate = _smooth_noise(time_s, errors.along_s, count, rng)
-    across, across_rate = _smooth_noise(time_s, errors.across_s, count, rng)
-    yaw, yaw_rate = _smooth_noise(time_s, errors.yaw_s, count, rng)
+    lasting_s = (errors.along_s, errors.across_s, errors.yaw_s)
+    (along, across, yaw), (along_rate, across_rate, yaw_rate) = _smooth_noise(time_s, lasting_s, count, rng)
     sizes = rng.normal(size=(count, 1, 3))
     along, along_rate = along * errors.along * sd_along, along_rate * errors.along * sd_along
     across, across_rate = across * errors.across * sd_across, across_rate * errors.across * sd_across
@@ -88,18 +89,25 @@ def draw(track: Track, rows: NDArray[np.int64], errors: TrackErrors, count: int,
     return Drawn(boxes, velocities, track.yaw_rates_radps[rows] + yaw_rate * errors.yaw * sd[:, YAW])
 
 
-def _smooth_noise(time_s: Array, lasts_s: float, count: int, rng: np.random.Generator) -> tuple[Array, Array]:
-    """Random functions (count, K) of unit variance with the correlation exp(−½ (t / lasts_s)²), and their slopes.
+def _smooth_noise(
+    time_s: Array, lasting_s: Sequence[float], count: int, rng: np.random.Generator
+) -> tuple[Array, Array]:
+    """Random functions (E, count, K) of unit variance with the correlation exp(−½ (t / so long)²), and their slopes,
+    for each of E times that errors last.
 
     Sums of waves with random frequencies and amplitudes: Rahimi & Recht, "Random features for large-scale kernel
-    machines", 2007.
+    machines", 2007. In float32, which is far more exact than what is known of errors.
     """
-    frequency = rng.normal(size=(count, _WAVES, 1)) / lasts_s
-    a, b = rng.normal(size=(2, count, 1, _WAVES)) / np.sqrt(_WAVES)
-    phase = frequency * time_s
+    frequencies, amplitudes = [], []
+    for lasts_s in lasting_s:
+        frequencies.append(rng.normal(size=(count, _WAVES)) / lasts_s)
+        amplitudes.append(rng.normal(size=(2, count, _WAVES)) / np.sqrt(_WAVES))
+    frequency, (a, b) = np.stack(frequencies).astype(np.float32), np.stack(amplitudes, axis=1).astype(np.float32)
+    phase = frequency[..., None] * time_s.astype(np.float32)
     c, s = np.cos(phase), np.sin(phase)
-    slope = frequency.swapaxes(1, 2)
-    return (a @ c + b @ s)[:, 0], ((slope * b) @ c - (slope * a) @ s)[:, 0]
+    value = np.einsum("edw,edwk->edk", a, c) + np.einsum("edw,edwk->edk", b, s)
+    slope = np.einsum("edw,edwk->edk", frequency * b, c) - np.einsum("edw,edwk->edk", frequency * a, s)
+    return value.astype(np.float64), slope.astype(np.float64)
 
 
 def place_sd_m(track: Track) -> Array:
