@@ -13,6 +13,7 @@ import logging
 import socket
 import threading
 import time
+from collections import Counter
 from collections.abc import Sequence
 from concurrent.futures import Future
 from urllib.parse import urlsplit
@@ -28,7 +29,8 @@ from wibam_core.jobs.webhooks import Attempt, signed_headers
 Network = ipaddress.IPv4Network | ipaddress.IPv6Network
 Address = ipaddress.IPv4Address | ipaddress.IPv6Address
 _LOOK_EVERY_S = 1.0
-_AT_ONCE = 16
+#: So many are on their way at once, and about so many of one webhook: a receiver that lets each wait blocks no other.
+_AT_ONCE, _EACH_AT_ONCE = 32, 4
 _MOST_URL = 2000
 #: For the name. Resolvers ask the next name server after 5 s by default.
 _LOOKUP_S = 10.0
@@ -122,29 +124,52 @@ class WebhookSender:
             self._thread.join(timeout=_LOOKUP_S + _TIMEOUT_S + 5.0)
 
     def send_due(self) -> int:
-        """Try what is due now; returns how many that was."""
-        due = self._store.take(_AT_ONCE, _LEASE_S)
-        if due:
-            asyncio.run(self._send_all(due))
-        return len(due)
+        """Try what is due, until nothing is; returns how many that was."""
+        return asyncio.run(self._send(until_idle=True))
 
     def _run(self) -> None:
-        sent = 0
-        while not self._stop.wait(0.0 if sent == _AT_ONCE else _LOOK_EVERY_S):
-            sent = 0
+        while not self._stop.is_set():
             try:
-                sent = self.send_due()
+                asyncio.run(self._send(until_idle=False))
             except SQLAlchemyError as error:  # what was sent is sent again: receivers know it by its id
                 _log.warning("the database did not answer while webhooks were sent: %s", error)
             except Exception:  # whatever it was: the next look comes
                 _log.exception("sending webhooks failed")
+            self._stop.wait(_LOOK_EVERY_S)
 
-    async def _send_all(self, due: Sequence[Due]) -> None:
+    async def _send(self, until_idle: bool) -> int:
+        """Send what is due beside what is on its way, so that nobody waits for another's receiver.
+
+        Args:
+            until_idle: return once nothing is due nor on its way; else once somebody stops it.
+
+        Returns:
+            How many were sent, whatever became of them.
+        """
+        on_its_way: dict[asyncio.Task[None], str] = {}
+        sent = 0
         fresh = httpx.Limits(max_keepalive_connections=0)
         async with httpx.AsyncClient(trust_env=False, follow_redirects=False, timeout=_TIMEOUT_S, limits=fresh) as http:
-            attempts = await asyncio.gather(*(self._attempt(http, one) for one in due))
-        for one, attempt in zip(due, attempts, strict=True):
-            self._store.note(one, attempt)
+            while until_idle or not self._stop.is_set():
+                busy = [hook for hook, count in Counter(on_its_way.values()).items() if count >= _EACH_AT_ONCE]
+                room = _AT_ONCE - len(on_its_way)
+                due = self._store.take(room, _LEASE_S, _EACH_AT_ONCE, busy) if room else []
+                sent += len(due)
+                on_its_way |= {asyncio.create_task(self._send_one(http, one)): one.delivery.webhook_id for one in due}
+                if not on_its_way:
+                    if until_idle:
+                        break
+                    self._stop.wait(_LOOK_EVERY_S)
+                    continue
+                done, _ = await asyncio.wait(on_its_way, timeout=_LOOK_EVERY_S, return_when=asyncio.FIRST_COMPLETED)
+                for task in done:
+                    del on_its_way[task]
+                    task.result()
+            await asyncio.gather(*on_its_way)
+        return sent
+
+    async def _send_one(self, http: httpx.AsyncClient, due: Due) -> None:
+        self._store.note(due, await self._attempt(http, due))
 
     async def _attempt(self, http: httpx.AsyncClient, due: Due) -> Attempt:
         began, started = time.time(), time.monotonic()

@@ -6,7 +6,7 @@ import time
 from collections.abc import Callable, Collection, Sequence
 from dataclasses import asdict, dataclass
 
-from sqlalchemy import delete, select
+from sqlalchemy import delete, func, select
 from sqlalchemy.orm import Session
 
 from wibam_core.adapters import records
@@ -193,24 +193,41 @@ class WebhookStore:
             session.flush()
             return _delivery(row)
 
-    def take(self, most: int, lease_s: float) -> list[Due]:
+    def take(self, most: int, lease_s: float, most_each: int | None = None, busy: Collection[str] = ()) -> list[Due]:
         """Take deliveries that are due, the longest waiting first, for so long as a lease: if nothing is said of one by
         then, as where its sender died, it is due again.
+
+        Args:
+            most: so many at most.
+            lease_s: how long they are taken for.
+            most_each: so many at most of one webhook, however many of it wait.
+            busy: ids of webhooks of which none is taken.
         """
         now = self._now()
         due = (
-            select(DeliveryRow, WebhookRow)
+            select(DeliveryRow.id)
             .join(WebhookRow, WebhookRow.id == DeliveryRow.webhook_id)
             .where(DeliveryRow.state == DeliveryState.PENDING.value, DeliveryRow.next_at <= now, WebhookRow.active)
-            .order_by(DeliveryRow.next_at)
-            .limit(most)
+            .where(DeliveryRow.webhook_id.not_in(busy))
         )
         with self._database.reading() as session:
             if session.execute(due.limit(1)).first() is None:
                 return []  # mostly; no lock is taken for it
+        place = func.row_number().over(
+            partition_by=DeliveryRow.webhook_id, order_by=(DeliveryRow.next_at, DeliveryRow.id)
+        )
+        ranked = due.add_columns(place.label("place")).subquery()
+        taken = (
+            select(DeliveryRow, WebhookRow)
+            .join(WebhookRow, WebhookRow.id == DeliveryRow.webhook_id)
+            .join(ranked, ranked.c.id == DeliveryRow.id)
+            .where(ranked.c.place <= (most if most_each is None else most_each))
+            .order_by(DeliveryRow.next_at)
+            .limit(most)
+        )
         found = []
         with self._database.writing(exclusive=True) as session:
-            for row, hook in session.execute(due):
+            for row, hook in session.execute(taken):
                 row.claims += 1
                 row.next_at = now + lease_s
                 found.append(Due(_delivery(row), hook.url, hook.secret, row.claims))

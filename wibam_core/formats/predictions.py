@@ -15,6 +15,7 @@ from types import TracebackType
 import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
+from pydantic import TypeAdapter, ValidationError
 
 from wibam_core.errors import InputError
 from wibam_core.formats import tables
@@ -24,6 +25,7 @@ from wibam_core.scene import Vehicles3D
 #: A row group has about so many boxes.
 _GROUP_BOXES = 4096
 _EMPTY_IMAGES = "wibam.empty_images"
+_EMPTY = TypeAdapter(list[tuple[int, str]])
 
 
 class PredictionsWriter:
@@ -81,15 +83,18 @@ class Predictions:
     def __init__(self, path: Path) -> None:
         try:
             self._file = pq.ParquetFile(path)
-            empty = json.loads((self._file.metadata.metadata or {}).get(_EMPTY_IMAGES.encode(), b"null"))
+            said = (self._file.metadata.metadata or {}).get(_EMPTY_IMAGES.encode())
         except (OSError, pa.ArrowInvalid) as error:
             raise InputError(f"{path.name} cannot be read as Parquet: {error}", hint="Run the stage again.") from error
-        if empty is None:
-            raise InputError(f"{path.name} holds no predictions", hint="Run the stage again that makes them.")
         self._name = path.name
         self._empty: dict[int, list[str]] = {}
-        for time_ns, camera_id in empty:
-            self._empty.setdefault(time_ns, []).append(camera_id)
+        try:
+            for time_ns, camera_id in _EMPTY.validate_json(said or b""):
+                self._empty.setdefault(time_ns, []).append(camera_id)
+        except ValidationError as error:
+            raise InputError(
+                f"{path.name} holds no predictions", hint="Run the stage again that makes them."
+            ) from error
 
     def at(self, times_ns: Collection[int]) -> Iterator[tuple[int, dict[str, Vehicles3D]]]:
         """What was found at instants, ascending; an instant at which no image was searched does not come.

@@ -16,6 +16,7 @@ from typing import Any
 import pytest
 
 from tests.receiver import Received, Receiver, receiver
+from tests.service import wait_until
 from tests.unit.adapters.world import World
 from wibam_core.adapters import webhook_sending
 from wibam_core.adapters.webhook_sending import Refused, WebhookSender, check_url
@@ -115,6 +116,41 @@ class TestWhoIsTold:
             hooks.create("https://example.org", USUAL_EVENTS, site_id="site_0")
         with pytest.raises(InputError, match="of a site or of a job"):
             hooks.create("https://example.org", USUAL_EVENTS, site_id=world.site.id, job_id=job)
+
+
+class TestSlowReceivers:
+    def test_they_delay_no_other(self, hooks: WebhookStore, sender: WebhookSender, told: Receiver) -> None:
+        """One that lets every request wait, and many of it wait longer than anything for others."""
+        goes_on = threading.Event()
+        with receiver() as slow:
+            slow.before = lambda: goes_on.wait(60.0) and None
+            late, _ = hooks.create(slow.url, USUAL_EVENTS)
+            for _ in range(40):
+                hooks.ping(late.id)
+            hook, _ = hooks.create(told.url, USUAL_EVENTS)
+            hooks.ping(hook.id)
+            sender.start()
+            try:
+                wait_until(lambda: bool(slow.got))
+                for count in range(2, 5):  # what comes while others are on their way is told, too
+                    wait_until(lambda: all(one.state is DeliveryState.DELIVERED for one in hooks.deliveries(hook.id)))
+                    hooks.ping(hook.id)
+                    wait_until(lambda count=count: len(told.got) == count)  # type: ignore[misc]
+                assert {one.state for one in hooks.deliveries(late.id)} == {DeliveryState.PENDING}
+                assert len(slow.got) < 10
+            finally:
+                goes_on.set()
+                sender.stop()
+
+    def test_no_more_of_one_webhook_is_taken_at_once_than_asked_for(self, hooks: WebhookStore) -> None:
+        first, second = (hooks.create("https://example.org/x", USUAL_EVENTS)[0] for _ in range(2))
+        for hook in (first, first, first, second):
+            hooks.ping(hook.id)
+        assert hooks.take(10, 60.0, most_each=2, busy=[first.id, second.id]) == []
+        taken = hooks.take(10, 60.0, most_each=2)
+        assert sorted(one.delivery.webhook_id for one in taken) == sorted([first.id, first.id, second.id])
+        assert [one.delivery.webhook_id for one in hooks.take(10, 60.0, most_each=2)] == [first.id]
+        assert hooks.take(10, 60.0, most_each=2) == []
 
 
 class TestRetries:

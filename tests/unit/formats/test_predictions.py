@@ -87,3 +87,12 @@ def test_other_files_are_refused(tmp_path: Path) -> None:
     write_vehicles3d(tmp_path / "vehicles", [found(1, "a", 2)])
     with pytest.raises(InputError, match="holds no predictions"):
         Predictions(tmp_path / "vehicles")
+
+
+@pytest.mark.parametrize("said", [b"[[1", b"{}", b"null", b"[1, 2]", b'[["a", "b"]]', b"\xff"])
+def test_what_it_says_of_empty_images_may_be_damaged(tmp_path: Path, said: bytes) -> None:
+    written(tmp_path / "p", {10: {"a": 2, "b": 0}})
+    table = pq.read_table(tmp_path / "p")
+    pq.write_table(table.replace_schema_metadata({b"wibam.empty_images": said}), tmp_path / "damaged")
+    with pytest.raises(InputError, match="damaged holds no predictions"):
+        Predictions(tmp_path / "damaged")
