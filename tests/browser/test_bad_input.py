@@ -24,8 +24,11 @@ PLAYS = """(data) => new Promise((resolve) => {
 })"""
 #: Whether the left border of the frame on the page of a camera is as bright as recorded pictures are there.
 LEFT_IS_BRIGHT = """() => {
-  const canvas = document.getElementById("frame");
-  return canvas.getContext("2d").getImageData(4, canvas.height / 2, 1, 1).data[1] > 150;
+  const canvas = document.getElementById("frame"), copy = document.createElement("canvas").getContext("2d", {
+    willReadFrequently: true,  // or else the browser complains
+  });
+  copy.drawImage(canvas, 4, canvas.height / 2, 1, 1, 0, 0, 1, 1);
+  return copy.getImageData(0, 0, 1, 1).data[1] > 150;
 }"""
 #: What a page is told that asks for its job again.
 LOOKS_AGAIN = """async (job) => {
@@ -52,7 +55,7 @@ def test_a_video_that_no_browser_plays_is_looked_at_all_the_same(
 ) -> None:
     """Frames come from the service as JPEG."""
     site = api.site(cameras=1)
-    recording = write(tmp_path / "x.mkv", codec="ffv1", pixels="yuv420p")
+    recording = write(tmp_path / "x.avi", codec="mpeg4")
     page = signed_in.open(f"/sites/{site}")
     page.get_by_text("no recording yet").wait_for()
     assert page.evaluate(PLAYS, b64encode(recording.read_bytes()).decode()) is False
