@@ -56,6 +56,9 @@ class LiftConfig(StageConfig):
         description="fits of vehicles that fewer than min_views cameras see are kept if the standard deviation of their"
         " place is at most this",
     )
+    learn_edge_offsets: bool = Field(
+        True, description="take off what all edges of the detector's boxes lie too far out or in, by all tracks"
+    )
     learn_templates: bool = Field(True, description="correct each class's body by what all its tracks show")
     min_template_tracks: int = Field(
         5, ge=2, le=1000, description="classes with fewer tracks keep their body: one odd vehicle is not the class"

@@ -118,6 +118,8 @@ class LiftStatistics(Document):
     """Largest residual of those."""
     edge_noise: float | None = None
     """How much noisier edges are than stated."""
+    edge_offsets_px: list[float] | None = None
+    """How much farther right and down than the vehicles' all left, top, right and bottom edges lie; taken off."""
     edge_persistence: float | None = None
     """Correlation of an edge's error from one instant to the next."""
     bodies: dict[str, LearnedBody] = Field(default_factory=dict)

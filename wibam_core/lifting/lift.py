@@ -17,6 +17,7 @@ from wibam_core.geometry.camera import Camera
 from wibam_core.geometry.se3 import SE3, normalise_angle
 from wibam_core.geometry.torch_ops import CameraTensors
 from wibam_core.lifting.confidence import confidence
+from wibam_core.lifting.edge_offsets import EdgeOffsets, learn_edge_offsets
 from wibam_core.lifting.fit import (
     LOG_SIZE,
     PLACE,
@@ -104,7 +105,7 @@ def lift(
     if not len(seen):
         return LiftResult(
             [Vehicles3D.of(i.time_ns, np.empty((0, 7))) for i in instants],
-            _statistics(seen, None, None, 1.0, 0.0, Shapes.unlearned()),
+            _statistics(seen, None, None, 1.0, 0.0, Shapes.unlearned(), EdgeOffsets.unknown()),
         )
     # fits are float32, and a world's origin may be far away, as in UTM: they count from the middle of the cameras
     origin = rig_centre(rig)
@@ -122,9 +123,13 @@ def lift(
     known = np.isfinite(yaw_sd)
     noise = _estimate_noise(problem, known, views, config.iterations)
     problem = with_noise(problem, noise)
+    usable = known & (views >= config.min_views)
+    offsets = EdgeOffsets.unknown()
+    if config.learn_edge_offsets:
+        offsets = learn_edge_offsets(problem, seen.classes, tracks, usable, iterations=config.iterations)
+    problem, seen = offsets.taken_off(problem), replace(seen, boxes=seen.boxes - offsets.px)
     shapes = Shapes.unlearned()
     if config.learn_templates:
-        usable = known & (views >= config.min_views)
         shapes = learn_shapes(
             problem, seen.classes, tracks, usable, iterations=config.iterations, min_tracks=config.min_template_tracks
         )
@@ -171,7 +176,7 @@ def lift(
     keep = (residual <= limit) & ((views >= config.min_views) | certain)
     vehicles = _by_instant(instants, seen, keep, boxes, _box_sd(sd, boxes), scores)
     progress(1.0, "lifted")
-    return LiftResult(vehicles, _statistics(seen, residual, keep, noise, lasting, shapes, limit))
+    return LiftResult(vehicles, _statistics(seen, residual, keep, noise, lasting, shapes, offsets, limit))
 
 
 def residual_limit(residual: FloatArray, views: FloatArray, config: LiftConfig) -> float:
@@ -336,6 +341,7 @@ def _statistics(
     noise: float,
     lasting: float,
     shapes: Shapes,
+    offsets: EdgeOffsets,
     limit: float | None = None,
 ) -> LiftStatistics:
     if residual is None or keep is None:
@@ -348,6 +354,7 @@ def _statistics(
         kept_share=float(keep.mean()),
         residual_limit=limit,
         edge_noise=noise,
+        edge_offsets_px=offsets.px.tolist() if offsets.tracks else None,
         edge_persistence=lasting,
         bodies=shapes.statistics(),
         residual=ResidualPercentiles(**{f"p{p}": float(np.percentile(residual, p)) for p in (10, 50, 90)}),

@@ -40,6 +40,8 @@ MODES = ("roof_length", "roof_shift", "roof_width", "corner_cut", "waist_height"
 #: about its template, and also that of one vehicle about its class's mean.
 MODE_SD: FloatArray = np.array([0.06, 0.05, 0.06, 0.06, 0.06])
 MODE_SD.setflags(write=False)
+#: Where the offsets of edges begin among what tracks share: after log sizes and modes.
+OFFSETS = 3 + len(MODES)
 
 #: So many sightings of a track are looked at.
 _SIGHTINGS = 8
@@ -153,7 +155,7 @@ def learn_shapes(
         templates: (classes, P, 3).
     """
     shapes = Shapes.unlearned(templates)
-    rows, track = _sample(tracks, usable, classes, min_tracks)
+    rows, track = sample_sightings(tracks, usable, classes, min_tracks)
     if not len(rows):
         return shapes
     own = classes[rows]
@@ -176,7 +178,9 @@ def _costs(shapes: Shapes, fitted: Fit, classes: IntArray) -> FloatArray:
     return np.asarray(own + 0.5 * ((shapes.modes / MODE_SD) ** 2).sum(axis=1))
 
 
-def _sample(tracks: Tracks, usable: np.ndarray, classes: IntArray, min_tracks: int) -> tuple[IntArray, IntArray]:
+def sample_sightings(
+    tracks: Tracks, usable: np.ndarray, classes: IntArray, min_tracks: int
+) -> tuple[IntArray, IntArray]:
     """Rows of up to `_SIGHTINGS` usable sightings of every track, spread over it, and the number of the track of each.
 
     Classes with fewer than ``min_tracks`` tracks are left out.
@@ -196,35 +200,57 @@ def _sample(tracks: Tracks, usable: np.ndarray, classes: IntArray, min_tracks: i
 
 def _improved(shapes: Shapes, problem: FitProblem, fitted: Fit, classes: IntArray, track: IntArray) -> Shapes:
     """One Gauss–Newton step of the modes at fits with the current bodies."""
-    information, score = _of_sightings(shapes, problem, fitted, classes)
+    information, score, own_class = of_tracks(shapes, problem, fitted, classes, track)
     modes, sd, count = shapes.modes.copy(), shapes.sd.copy(), shapes.tracks.copy()
-    _, first, sightings = np.unique(track, return_index=True, return_counts=True)
-    share = np.minimum(1.0, _INDEPENDENT_SIGHTINGS / sightings)
-    tracks_information = share[:, None, None] * np.add.reduceat(information, first)
-    tracks_score = share[:, None] * np.add.reduceat(score, first)
-    for c in np.unique(classes):
-        own = classes[first] == c
-        modes[c], sd[c] = _of_class(tracks_information[own], tracks_score[own], LOG_SIZE_SD[c])
+    for c in np.unique(own_class):
+        own = own_class == c
+        modes[c], sd[c] = _of_class(information[own][:, :OFFSETS, :OFFSETS], score[own][:, :OFFSETS], c)
         count[c] = own.sum()
     return replace(shapes, modes=modes, sd=sd, tracks=count)
 
 
+def of_tracks(
+    shapes: Shapes, problem: FitProblem, fitted: Fit, classes: IntArray, track: IntArray
+) -> tuple[FloatArray, FloatArray, IntArray]:
+    """What tracks say of what they share: log sizes (from the class's usual ones), modes, and offsets of edges (px).
+
+    Args:
+        shapes: the bodies that the vehicles were fitted with.
+        problem: N sightings.
+        fitted: how they were fitted.
+        classes: (N,) of them, indices into `CLASSES`.
+        track: (N,) number of the track of each, in order.
+
+    Returns:
+        Information (M, S, S) of M tracks on the S = 3 + K + 4 shared unknowns, the score (M, S) where all of them are
+        0, and the class (M,) of each.
+    """
+    information, score = _of_sightings(shapes, problem, fitted, classes)
+    _, first, sightings = np.unique(track, return_index=True, return_counts=True)
+    share = np.minimum(1.0, _INDEPENDENT_SIGHTINGS / sightings)
+    of = share[:, None, None] * np.add.reduceat(information, first)
+    return of, share[:, None] * np.add.reduceat(score, first), classes[first]
+
+
 def _of_sightings(shapes: Shapes, problem: FitProblem, fitted: Fit, classes: IntArray) -> tuple[FloatArray, FloatArray]:
-    """Information (N, 3 + K, 3 + K) of single sightings on log sizes (from the class's usual ones) and modes, and the
-    score (N, 3 + K) where both are 0; place and yaw are marginalised."""
+    """Information (N, S, S) and score (N, S) of single sightings, as in `of_tracks`; place and yaw are marginalised."""
     edges, jacobian, exact, used = predicted_edges(problem, fitted.parameters)
     sd = problem.sd()
     compared = (exact & used[..., None]).numpy()
     residual = np.where(compared, ((edges - problem.boxes) / sd).numpy(), 0.0).astype(np.float64)
     weight = compared * cauchy_weights(torch.from_numpy(residual), ROBUST_SD).numpy()
     n = len(residual)
-    slopes = np.concatenate([jacobian.numpy(), _by_modes(shapes, problem, fitted.parameters, classes)], axis=-1)
-    flat = (slopes / sd.numpy()[..., None]).reshape(n, -1, 6 + len(MODES))
+    # edges are seen where the body's are, and an offset farther right or down
+    offsets = np.broadcast_to(np.eye(4), (*residual.shape, 4))
+    by_modes = _by_modes(shapes, problem, fitted.parameters, classes)
+    slopes = np.concatenate([jacobian.numpy(), by_modes, offsets], axis=-1)
+    flat = (slopes / sd.numpy()[..., None]).reshape(n, residual[0].size, -1)
     residual, weight = residual.reshape(n, -1), weight.reshape(n, -1)
     pose = [X, Y, YAW]
-    shared = [*range(LOG_LENGTH, LOG_HEIGHT + 1), *range(6, 6 + len(MODES))]
+    shared = [*range(LOG_LENGTH, LOG_HEIGHT + 1), *range(6, flat.shape[-1])]
     parameters = fitted.parameters.numpy().astype(np.float64)
-    at = np.concatenate([parameters[:, LOG_SIZE] - LOG_SIZE_MEAN[classes], shapes.modes[classes]], 1)
+    usual = parameters[:, LOG_SIZE] - LOG_SIZE_MEAN[classes]
+    at = np.concatenate([usual, shapes.modes[classes], np.zeros((n, 4))], axis=1)
     # residuals of vehicles of usual size with the template as it was
     residual = residual - np.einsum("nej,nj->ne", flat[..., shared], at)
     hessian, gradient = (of.numpy() for of in normal_equations(*map(torch.from_numpy, (flat, residual, weight))))
@@ -233,7 +259,7 @@ def _of_sightings(shapes: Shapes, problem: FitProblem, fitted: Fit, classes: Int
     off[:, 2] = np.arctan2(np.sin(off[:, 2]), np.cos(off[:, 2]))
     free = hessian[:, pose][:, :, pose] + (prior + 1e-6)[:, :, None] * np.eye(3)
     pull = gradient[:, pose] + prior * off
-    return _marginal(hessian[:, shared][:, :, shared], gradient[:, shared], hessian[:, shared][:, :, pose], free, pull)
+    return marginal(hessian[:, shared][:, :, shared], gradient[:, shared], hessian[:, shared][:, :, pose], free, pull)
 
 
 def _by_modes(shapes: Shapes, problem: FitProblem, parameters: Tensor, classes: IntArray) -> FloatArray:
@@ -252,7 +278,7 @@ def _by_modes(shapes: Shapes, problem: FitProblem, parameters: Tensor, classes: 
     return np.stack(columns, axis=-1)
 
 
-def _marginal(
+def marginal(
     a: FloatArray, eta_a: FloatArray, cross: FloatArray, b: FloatArray, eta_b: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
     """Information ``a`` (N, i, i) and score (N, i) without the unknowns of ``b`` (N, j, j): the Schur complement."""
@@ -260,22 +286,41 @@ def _marginal(
     return a - cross @ solved[..., :-1], eta_a - (cross @ solved[..., -1:])[..., 0]
 
 
-def _of_class(information: FloatArray, score: FloatArray, log_size_sd: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Modes (K,) and their s.d. (K,) of the information (M, 3 + K, 3 + K) of tracks and its score (M, 3 + K).
+def _of_class(information: FloatArray, score: FloatArray, number: int) -> tuple[FloatArray, FloatArray]:
+    """Modes (K,) and their s.d. (K,) of the information (M, 3 + K, 3 + K) of tracks and its score (M, 3 + K)."""
+    spread = np.diag(np.concatenate([LOG_SIZE_SD[number], MODE_SD]) ** 2)
+    prior = np.linalg.inv(spread)
+    information, score = about_their_mean(information, score, spread, prior)
+    covariance = np.linalg.inv(prior + information.sum(axis=0))
+    mean = covariance @ score.sum(axis=0)
+    return mean[3:], np.sqrt(np.diagonal(covariance))[3:]
+
+
+def about_their_mean(
+    information: FloatArray, score: FloatArray, spread: FloatArray, prior: FloatArray
+) -> tuple[FloatArray, FloatArray]:
+    """What vehicles that differ say of the mean of all.
 
     The sizes of a site's vehicles spread about their own mean, which is known no better than a single vehicle's size.
+
+    Args:
+        information: (M, S, S) of single vehicles.
+        score: (M, S) of them.
+        spread: (S, S) covariance of one vehicle about the mean of all.
+        prior: (S, S) information on that mean before looking.
+
+    Returns:
+        Information (M, S, S) and score (M, S) on the mean; vehicles that differ too much count less.
     """
-    k = len(MODES)
-    spread = np.diag(np.concatenate([log_size_sd, MODE_SD]) ** 2)
-    prior = np.linalg.inv(spread)
+    s = len(spread)
     # one vehicle's own size and shape about the class's: (Λ⁻¹ + S)⁻¹ = (1 + Λ S)⁻¹ Λ
-    own = np.linalg.inv(np.eye(3 + k) + information @ spread)
+    own = np.linalg.inv(np.eye(s) + information @ spread)
     information, score = own @ information, -(own @ score[..., None])[..., 0]
     weight, inverse = np.ones(len(information)), np.linalg.pinv(information)
     for _ in range(_PASSES):
         covariance = np.linalg.inv(prior + np.einsum("m,mij->ij", weight, information))
         mean = covariance @ np.einsum("m,mi->i", weight, score)
         off = score - information @ mean
-        squared = np.einsum("mi,mij,mj->m", off, inverse, off) / (3 + k)
+        squared = np.einsum("mi,mij,mj->m", off, inverse, off) / s
         weight = 1 / (1 + squared / _ROBUST_TRACK_SD**2)
-    return mean[3:], np.sqrt(np.diagonal(covariance))[3:]
+    return weight[:, None, None] * information, weight[:, None] * score
