@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -14,8 +15,9 @@ from wibam_core.calibration.foreign.registry import read_file
 from wibam_core.calibration.foreign.to_site import chosen, describe
 from wibam_core.calibration.rig import solve_camera
 from wibam_core.config import CalibrateConfig
-from wibam_core.errors import InputError, SiteFileError
+from wibam_core.errors import InputError
 from wibam_core.site import Site
+from wibam_core.stages.recording_files import find_recording
 from wibam_core.text import decode_text
 from wibam_core.video.probe import probe
 
@@ -44,7 +46,9 @@ def calibration(
         form, cameras = read_file(file)
         found.append(chosen(cameras, [camera, *(name or [])], file.name))
         console.print(escape(f"{file.name}: {form}"), highlight=False, soft_wrap=True)
-    size_px = _size_px(site_dir, camera) or (None if before is None else (before.width_px, before.height_px))
+    size_px = _size_px(site_dir, camera, () if before is None else before.recordings) or (
+        None if before is None else (before.width_px, before.height_px)
+    )
     size_px = size_px or next((one.intrinsics.size_px for one in found if one.intrinsics is not None), None)
     if size_px is None:
         raise InputError(
@@ -81,16 +85,15 @@ def calibration(
     )
 
 
-def _size_px(site_dir: Path, camera: str) -> tuple[int, int] | None:
-    """That of the camera's recording, where the folder has one.
+def _size_px(site_dir: Path, camera: str, listed: Sequence[str]) -> tuple[int, int] | None:
+    """That of the camera's recording, where the folder has one; of several files that of the first.
 
     Raises:
-        SiteFileError: it has several.
+        SiteFileError: it has several that nothing says belong together.
+        MissingCamera: a file that the site lists is not there.
     """
-    recordings = sorted(p for p in (site_dir / "recordings").glob(f"{camera}.*") if p.is_file())
-    if len(recordings) > 1:
-        raise SiteFileError(f"camera {camera} has several recordings", hint="Leave one of them in the folder.")
-    if not recordings:
+    recording = find_recording(site_dir / "recordings", camera, listed)
+    if recording is None:
         return None
-    info = probe(recordings[0])
+    info = probe(recording.files[0].path)
     return info.width_px, info.height_px

@@ -21,7 +21,7 @@ _BESIDE = (
 )
 
 
-def find_recording(folder: Path, camera: SiteCamera) -> Recording | None:
+def find_recording(folder: Path, camera_id: str, listed: Sequence[str] = ()) -> Recording | None:
     """A camera's recording in a folder ``recordings/``; None where there is none.
 
     It is one file, ``<camera id>.<anything>`` or ``<camera id>``, or several in a folder ``<camera id>/``, of which all
@@ -32,21 +32,21 @@ def find_recording(folder: Path, camera: SiteCamera) -> Recording | None:
             where it should lie, but one deeper or under the id in other letters, or pictures alone.
         MissingCamera: a file that the site lists is not there.
     """
-    own = folder / camera.id
-    if camera.recordings:
-        return Recording(tuple(_listed(folder, camera, name) for name in sorted(camera.recordings)))
-    named = [*folder.glob(f"{camera.id}.*"), own]
+    own = folder / camera_id
+    if listed:
+        return Recording(tuple(_listed(folder, camera_id, name) for name in sorted(listed)))
+    named = [*folder.glob(f"{camera_id}.*"), own]
     single = sorted(path for path in named if path.is_file() and not _is_beside(path))
     if own.is_dir():
         inside = sorted(path for path in own.iterdir() if path.is_file() and not _is_beside(path))
         if inside and single:
-            raise _ambiguous(camera, [*single, *inside])
+            raise _ambiguous(camera_id, [*single, *inside])
         if inside:
             return Recording.at(*inside)
     if len(single) > 1:
-        raise _ambiguous(camera, single)
+        raise _ambiguous(camera_id, single)
     if not single:
-        _check_elsewhere(folder, camera)
+        _check_elsewhere(folder, camera_id)
     return Recording.at(single[0]) if single else None
 
 
@@ -91,54 +91,54 @@ def _is_beside(path: Path) -> bool:
     return path.name.startswith(".") or path.suffix.lower() in _BESIDE
 
 
-def _listed(folder: Path, camera: SiteCamera, name: str) -> RecordingFile:
-    for path in (folder / camera.id / name, folder / name):
+def _listed(folder: Path, camera_id: str, name: str) -> RecordingFile:
+    for path in (folder / camera_id / name, folder / name):
         if path.is_file():
             return RecordingFile.at(path)
     raise MissingCamera(
-        f"{name}, a recording of camera {camera.id}, is not there",
-        hint=f"Put it into recordings/{camera.id}/, or take it off the site's list.",
-        camera=camera.id,
+        f"{name}, a recording of camera {camera_id}, is not there",
+        hint=f"Put it into recordings/{camera_id}/, or take it off the site's list.",
+        camera=camera_id,
         file=name,
     )
 
 
-def _check_elsewhere(folder: Path, camera: SiteCamera) -> None:
+def _check_elsewhere(folder: Path, camera_id: str) -> None:
     """Raises:
     SiteFileError: a camera without a recording has one where nobody looks.
     """
-    own = folder / camera.id
+    own = folder / camera_id
     deeper = sorted(path for path in own.glob("*/**/*") if path.is_file() and not _is_beside(path))
     if deeper:
         raise SiteFileError(
-            f"camera {camera.id} has no recording in {own.name}/, but deeper: {deeper[0].relative_to(own)}",
-            hint=f"Move its files into recordings/{camera.id}/ itself.",
-            camera=camera.id,
+            f"camera {camera_id} has no recording in {own.name}/, but deeper: {deeper[0].relative_to(own)}",
+            hint=f"Move its files into recordings/{camera_id}/ itself.",
+            camera=camera_id,
         )
     others = sorted(folder.iterdir()) if folder.is_dir() else []
     inside = sorted(own.iterdir()) if own.is_dir() else []
-    pictures = [path for path in (*inside, *folder.glob(f"{camera.id}.*")) if path.suffix.lower() in _PICTURES]
+    pictures = [path for path in (*inside, *folder.glob(f"{camera_id}.*")) if path.suffix.lower() in _PICTURES]
     if pictures:
         raise SiteFileError(
-            f"camera {camera.id} has no recording, but pictures: {pictures[0].name}"
+            f"camera {camera_id} has no recording, but pictures: {pictures[0].name}"
             + (f" and {len(pictures) - 1} more" if len(pictures) > 1 else ""),
             hint="Make one video file of them, with the time of each: pictures by themselves do not say when they were "
             "taken.",
-            camera=camera.id,
+            camera=camera_id,
         )
     for path in others:
         named = path.name.split(".")[0]
-        if named != camera.id and named.strip().lower() == camera.id.lower() and not _is_beside(path):
+        if named != camera_id and named.strip().lower() == camera_id.lower() and not _is_beside(path):
             raise SiteFileError(
-                f"camera {camera.id} has no recording, but there is {path.name!r}",
-                hint=f"Call it {camera.id}{path.name[len(named) :]}: letter case and blanks count.",
-                camera=camera.id,
+                f"camera {camera_id} has no recording, but there is {path.name!r}",
+                hint=f"Call it {camera_id}{path.name[len(named) :]}: letter case and blanks count.",
+                camera=camera_id,
             )
 
 
-def _ambiguous(camera: SiteCamera, paths: list[Path]) -> SiteFileError:
+def _ambiguous(camera_id: str, paths: list[Path]) -> SiteFileError:
     return SiteFileError(
-        f"camera {camera.id} has several recordings: {', '.join(path.name for path in paths)}",
-        hint=f"Leave one of them in the folder, or put all parts of one recording into recordings/{camera.id}/.",
-        camera=camera.id,
+        f"camera {camera_id} has several recordings: {', '.join(path.name for path in paths)}",
+        hint=f"Leave one of them in the folder, or put all parts of one recording into recordings/{camera_id}/.",
+        camera=camera_id,
     )

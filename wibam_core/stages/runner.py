@@ -58,7 +58,7 @@ class SiteFolder:
         needed = any(spec.reads_recordings and spec.name not in given for spec in STAGES.values())
         recordings = {}
         for camera in site.cameras:
-            recording = recording_files.find_recording(folder / "recordings", camera)
+            recording = recording_files.find_recording(folder / "recordings", camera.id, camera.recordings)
             if recording is not None:
                 recordings[camera.id] = recording
             elif needed:

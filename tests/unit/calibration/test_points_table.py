@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import re
 from pathlib import Path
 
@@ -19,6 +20,7 @@ from tests.unit.calibration.test_foreign import (
     told,
 )
 from wibam_core.calibration.foreign.registry import read_file, read_named
+from wibam_core.calibration.foreign.to_site import describe
 from wibam_core.errors import InputError
 from wibam_core.site import PnPCalibration
 
@@ -130,3 +132,86 @@ def test_a_file_that_is_called_json_and_is_none_is_refused_with_the_place() -> N
     text = '{"type": "FeatureCollection",\n "features": [] // none yet\n}'
     with pytest.raises(InputError, match=r"line 2, .* no comments"):
         read_named("points.geojson", text)
+
+
+@pytest.mark.parametrize(
+    "header",
+    [
+        "East,North,z,col,row",
+        "Rechtswert,Hochwert,z,u,v",
+        "X_world,Y_world,z,x_img,y_img",
+        "Easting,Northing,z,Pixel,Line",
+        "easting,northing,z,x,y",
+        "world_x [m],world_y [m],z [m],image_x,image_y",
+    ],
+)
+def test_columns_are_known_by_what_programs_call_them(header: str) -> None:
+    _, [found] = read_named("a.csv", table(header))
+    assert found.points is not None
+    np.testing.assert_allclose(found.points.coordinates, GRID, atol=1e-6)
+    np.testing.assert_allclose(found.points.pixels, PIXELS, atol=1e-6)
+
+
+def test_columns_may_be_set_apart_by_blanks() -> None:
+    text = table("x,y,z,u,v", "\t").replace("\t", "   ")
+    _, [found] = read_named("a.txt", text)
+    assert found.points is not None
+    np.testing.assert_allclose(found.points.pixels, PIXELS, atol=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        ("lat,lon,z,u,v\n48°08'13.2\"N,11°34'11\"E,0,10,20\n", "decimal degrees"),
+        ("691234.5,5334567.2,10,20\n", "line of names"),
+        ("x,y,z,note\n1,2,0,kerb\n", "Call them u and v"),
+    ],
+)
+def test_what_a_table_lacks_is_said_with_what_helps(text: str, words: str) -> None:
+    with pytest.raises(InputError) as refused:
+        read_named("a.csv", text)
+    assert words in refused.value.hint
+
+
+def test_points_far_outside_of_where_their_system_is_used_are_refused() -> None:
+    """Metres of a zone in Germany, said to be feet of New York: the plane is stretched there to no metres at all."""
+    text = "#CRS: EPSG:2263\n" + table("easting,northing,z,u,v", places=GRID / 0.3048)
+    _, [found] = read_named("p.csv", text)
+    with pytest.raises(InputError, match=r"EPSG:2263 is used \(United States") as refused:
+        describe("a", [found], (1280, 720), None, None)
+    assert "swapped" in refused.value.hint
+
+
+def test_metres_that_are_said_to_be_degrees_are_refused() -> None:
+    _, [found] = read_named("p.csv", table("lon,lat,z,u,v"))
+    with pytest.raises(InputError, match="are no degrees") as refused:
+        describe("a", [found], (1280, 720), None, None)
+    assert "EPSG:25832" in refused.value.hint
+
+
+def test_points_of_qgis_whose_pixels_count_downwards_are_read_so() -> None:
+    rows = "\n".join(
+        f"{x},{y},{u + 0.5},{v + 0.5},1" for (x, y, _), (u, v) in zip(GRID.tolist(), PIXELS.tolist(), strict=True)
+    )
+    _, [found] = read_named("a.points", f"mapX,mapY,sourceX,sourceY,enable\n{rows}\n")
+    assert found.points is not None
+    np.testing.assert_allclose(found.points.pixels, PIXELS, atol=1e-6)
+    assert any("downwards" in note for note in found.notes)
+
+
+@pytest.mark.parametrize(
+    "properties",
+    [{"pixel": [10, 20.5]}, {"pixel": "[ 10, 20.5 ]"}, {"px": 10, "py": "20.5"}, {"pixel_x": 10, "pixel_y": 20.5}],
+)
+def test_a_pixel_in_geojson_as_map_programs_keep_it(properties: dict[str, object]) -> None:
+    point = {"type": "Feature", "geometry": {"type": "Point", "coordinates": [11.5, 48.1]}, "properties": properties}
+    _, [found] = read_named("a.geojson", json.dumps({"type": "FeatureCollection", "features": [point]}))
+    assert found.points is not None
+    assert found.points.pixels.tolist() == [[10.0, 20.5]]
+
+
+@pytest.mark.parametrize("properties", [{"pixel": 5}, {"pixel": "a"}, {"pixel": {"u": 1}}, ["pixel"]])
+def test_a_pixel_in_geojson_that_is_none_is_refused(properties: object) -> None:
+    point = {"type": "Feature", "geometry": {"type": "Point", "coordinates": [11.5, 48.1]}, "properties": properties}
+    with pytest.raises(InputError, match="pixel"):
+        read_named("a.geojson", json.dumps({"type": "FeatureCollection", "features": [point]}))

@@ -1,12 +1,13 @@
 """Ground control points as GeoJSON: point features with the pixel in their properties.
 
 Longitude and latitude are WGS 84 (RFC 7946), unless the file names another system (``crs``, as the 2008 format did). A
-feature's pixel is ``"pixel": [u, v]``, or ``"u"`` and ``"v"``; ``"height_m"``, the height above the road, may be left
-out, and ``"camera"`` says whose pixel it is where a file holds several cameras'.
+feature's pixel is ``"pixel": [u, v]``, or ``"u"`` and ``"v"`` (``"px"``, ``"pixel_x"``, ``"col"``); ``"height_m"``, the
+height above the road, may be left out, and ``"camera"`` says whose pixel it is where a file holds several cameras'.
 """
 
 from __future__ import annotations
 
+import re
 from collections.abc import Mapping, Sequence
 from typing import Any
 
@@ -16,6 +17,7 @@ from wibam_core.calibration.foreign.base import FoundCamera, Reader, SurveyedPoi
 from wibam_core.errors import InputError
 
 _WGS84 = "EPSG:4326"
+_PIXELS = (("u", "v"), ("px", "py"), ("pixel_x", "pixel_y"), ("col", "row"))
 
 
 def _recognises(name: str, text: str) -> bool:
@@ -32,9 +34,10 @@ def _read(text: str) -> Sequence[FoundCamera]:
     features = content.get("features")
     for number, feature in enumerate(features if isinstance(features, list) else [], 1):
         geometry = feature.get("geometry") if isinstance(feature, dict) else None
-        properties = (feature.get("properties") if isinstance(feature, dict) else None) or {}
-        pixel = properties.get("pixel", [properties.get("u"), properties.get("v")])
-        if not isinstance(geometry, dict) or geometry.get("type") != "Point" or None in pixel:
+        properties = feature.get("properties") if isinstance(feature, dict) else None
+        properties = properties if isinstance(properties, dict) else {}
+        pixel = _pixel(properties)
+        if not isinstance(geometry, dict) or geometry.get("type") != "Point" or pixel is None:
             others += 1
             continue
         try:
@@ -55,6 +58,20 @@ def _read(text: str) -> Sequence[FoundCamera]:
         places, altitudes, pixels = (np.array(column, dtype=np.float64) for column in zip(*of_camera, strict=True))
         found.append(FoundCamera(camera, points=SurveyedPoints(places, altitudes, pixels, crs), notes=notes))
     return found
+
+
+def _pixel(properties: Mapping[str, Any]) -> Sequence[Any] | None:
+    """What stands for the pixel, in an array, a text (as map programs keep arrays) or two numbers; None without."""
+    pixel = properties.get("pixel")
+    if isinstance(pixel, str):
+        return [part for part in re.split(r"[\s,;\[\]()]+", pixel) if part]
+    if pixel is not None:
+        return pixel if isinstance(pixel, list) else [pixel]
+    for names in _PIXELS:
+        found = [properties.get(name) for name in names]
+        if None not in found:
+            return found
+    return None
 
 
 def _crs(content: Mapping[str, Any]) -> str:

@@ -4,18 +4,31 @@ from __future__ import annotations
 
 import re
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from typing import Any
 from xml.etree import ElementTree
 
 import numpy as np
 import yaml
 
-from wibam_core.calibration.foreign.base import FoundCamera, Intrinsics, Reader, first, json_object, matrix, vector
+from wibam_core.calibration.foreign.base import (
+    Array,
+    FoundCamera,
+    Intrinsics,
+    Reader,
+    first,
+    json_object,
+    matrix,
+    vector,
+)
 from wibam_core.errors import InputError
+from wibam_core.geometry.se3 import SE3
 from wibam_core.site import Lens
 
 _K = ("cameramatrix", "k", "mtx", "m1", "intrinsicmatrix", "intrinsics", "intrinsic")
-_DIST = ("distortioncoefficients", "distcoeffs", "distcoefs", "d", "d1", "dist", "distortion")
+_DIST = ("distortioncoefficients", "distcoeffs", "distcoefs", "distcoeff", "d", "d1", "dist", "distortion")
+#: Distortion number by number, in OpenCV's order, and of its fisheye.
+_ONE_BY_ONE, _OF_FISHEYE = ("k1", "k2", "p1", "p2", "k3", "k4", "k5", "k6"), ("k1", "k2", "k3", "k4")
 _MODELS: Mapping[str, Lens] = {
     "plumb_bob": "pinhole",
     "rational_polynomial": "pinhole",
@@ -49,7 +62,8 @@ _Loader.add_multi_constructor("tag:yaml.org,2002:opencv-", _plain_mapping)
 def parsed_yaml(text: str) -> Mapping[str, Any] | None:
     """The mapping that a YAML file holds, OpenCV's included; None where it holds anything else."""
     try:
-        found = yaml.load(re.sub(r"\A%YAML:1\.\d\s*\n", "", text), Loader=_Loader)  # a safe loader
+        ended = re.sub(r"\n---\s*\Z", "\n", text)  # as ROS ends a message
+        found = yaml.load(re.sub(r"\A%YAML:1\.\d\s*\n", "", ended), Loader=_Loader)  # a safe loader
     except yaml.YAMLError:
         return None
     return found if isinstance(found, dict) else None
@@ -86,15 +100,18 @@ def _recognises(name: str, text: str) -> bool:
     if not name.endswith((".yaml", ".yml", ".json", ".xml")):
         return False
     content = _content(text)
-    return content is not None and first(content, _K) is not None
+    return content is not None and _camera_matrix(content) is not None
 
 
 def _read(text: str) -> Sequence[FoundCamera]:
     content = _content(text)
     assert content is not None
-    dist = vector(first(content, _DIST), "the distortion")
+    _check_whole(content)
     xi = first(content, ("xi",))
     lens = _lens(content, xi)
+    dist, notes = _distortion(content, lens)
+    if first(content, ("m2", "cameramatrix2")) is not None:
+        notes = (*notes, "The file holds two cameras: the first is read.")
     if lens == "pinhole" and dist.size == 14 and not dist[12:].any():
         dist = dist[:12]
     width, height = first(content, ("imagewidth", "width")), first(content, ("imageheight", "height"))
@@ -102,17 +119,93 @@ def _read(text: str) -> Sequence[FoundCamera]:
     if width is None and isinstance(size, list | tuple) and len(size) == 2:
         width, height = size
     intrinsics = Intrinsics(
-        matrix(first(content, _K), 3, 3, "the camera matrix"),
+        matrix(_camera_matrix(content), 3, 3, "the camera matrix"),
         dist,
         lens,
         float(vector(xi, "xi")[0]) if xi is not None else 0.0,
         None if width is None or height is None else (int(width), int(height)),
     )
+    pose = _pose(content)
+    if pose is None:
+        return [FoundCamera(intrinsics=intrinsics, notes=notes)]
+    said = f"{' and '.join(pose.names)} are taken as world to camera, in metres."
+    return [FoundCamera("", intrinsics, pose.rvec, pose.tvec, notes=(*notes, said))]
+
+
+@dataclass(frozen=True)
+class _Pose:
+    """World to camera, and what the file calls it."""
+
+    rvec: Array
+    tvec: Array
+    names: tuple[str, str]
+
+
+def _pose(content: Mapping[str, Any]) -> _Pose | None:
+    """None where the file has none: R and T of a stereo pair are between its cameras, R alone rectifies."""
     rvec, tvec = first(content, ("rvec", "rotationvector")), first(content, ("tvec", "translationvector"))
-    if rvec is None or tvec is None or np.size(vector(rvec, "rvec")) != 3:
-        return [FoundCamera(intrinsics=intrinsics)]
-    pose = matrix(rvec, 3, 1, "rvec").ravel(), matrix(tvec, 3, 1, "tvec").ravel()
-    return [FoundCamera("", intrinsics, *pose, notes=("rvec and tvec are taken as world to camera, in metres.",))]
+    if rvec is not None and tvec is not None and np.size(vector(rvec, "rvec")) == 3:
+        return _Pose(matrix(rvec, 3, 1, "rvec").ravel(), matrix(tvec, 3, 1, "tvec").ravel(), ("rvec", "tvec"))
+    rotation, moved = first(content, ("r", "rotation", "rotationmatrix")), first(content, ("t", "translation"))
+    if rotation is None or moved is None or first(content, ("m2", "cameramatrix2", "e", "f")) is not None:
+        return None
+    turned = SE3(matrix(rotation, 3, 3, "the rotation"), matrix(moved, 3, 1, "the translation").ravel())
+    return _Pose(*turned.to_rvec_tvec(), ("R", "T"))
+
+
+def _camera_matrix(content: Mapping[str, Any]) -> Any:
+    """As a matrix, or put together of fx, fy, cx and cy, which may stand by themselves or in an object."""
+    found = first(content, _K)
+    source = found if isinstance(found, Mapping) and "data" not in found else content if found is None else None
+    if source is None:
+        return found
+    fx, fy, cx, cy = (first(source, (name,)) for name in ("fx", "fy", "cx", "cy"))
+    if fx is None or cx is None or cy is None:
+        return found
+    return [[fx, 0.0, cx], [0.0, fx if fy is None else fy, cy], [0.0, 0.0, 1.0]]
+
+
+def _distortion(content: Mapping[str, Any], lens: Lens) -> tuple[Array, tuple[str, ...]]:
+    """The coefficients, and what a person should know of them.
+
+    Raises:
+        InputError: something is called a distortion, and it is unknown how it is meant.
+    """
+    found, nested = first(content, _DIST), first(content, _K)
+    if found is None:
+        others = [name for name, value in content.items() if "dist" in str(name).lower() and not isinstance(value, str)]
+        if others:
+            raise InputError(
+                f"it is unknown what {others[0]!r} is",
+                hint="Call the distortion distortion_coefficients, or take it out.",
+            )
+    sources = [source for source in (found, nested, content) if isinstance(source, Mapping) and "data" not in source]
+    if found is None or (isinstance(found, Mapping) and "data" not in found):
+        order = _OF_FISHEYE if lens == "fisheye" else _ONE_BY_ONE
+        for source in sources:
+            values = [first(source, (name,)) for name in order]
+            if any(value is not None for value in values):
+                last = max(number for number, value in enumerate(values) if value is not None)
+                numbers = [0.0 if value is None else value for value in values[: max(last + 1, 4)]]
+                numbers += [0.0] * ((8 if len(numbers) > 5 else len(numbers)) - len(numbers))
+                return vector(numbers, "the distortion"), ()
+    if found is None:
+        return np.empty(0), ("The file says nothing of distortion: the lens is taken to bend no line.",)
+    return vector(found, "the distortion"), ()
+
+
+def _check_whole(content: Mapping[str, Any]) -> None:
+    """Raises:
+    InputError: pictures are a part of what the camera's numbers are for, or binned (ROS's ``camera_info``).
+    """
+    region = first(content, ("roi",))
+    parts = [first(region, (name,)) for name in ("xoffset", "yoffset")] if isinstance(region, Mapping) else []
+    binned = [first(content, (name,)) for name in ("binningx", "binningy")]
+    if any(parts) or any(isinstance(value, int) and value > 1 for value in binned):
+        raise InputError(
+            "the file says that pictures are binned, or a part of what its numbers are for (binning_x, roi)",
+            hint="Give the numbers of the pictures as recorded, without binning and roi.",
+        )
 
 
 def _lens(content: Mapping[str, Any], xi: Any) -> Lens:

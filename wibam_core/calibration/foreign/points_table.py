@@ -11,20 +11,38 @@ from collections.abc import Sequence
 import numpy as np
 
 from wibam_core.calibration.foreign.base import FoundCamera, Reader, SurveyedPoints, short_crs, unknown_crs
-from wibam_core.calibration.foreign.rows import Rows, header_of, read_rows
+from wibam_core.calibration.foreign.rows import header_of, read_rows
 from wibam_core.errors import InputError
 
-_X, _Y = ("x", "easting", "east", "e"), ("y", "northing", "north", "n")
+_X = ("x", "easting", "east", "e", "rechtswert", "x_world", "world_x")
+_Y = ("y", "northing", "north", "n", "hochwert", "y_world", "world_y")
 _LONGITUDE, _LATITUDE = ("longitude", "lon", "lng", "long"), ("latitude", "lat")
 _HEIGHT, _ALTITUDE = ("z", "height", "height above the road"), ("altitude", "alt", "elevation")
-_U, _V = ("u", "pixel_x", "pixelx", "px", "column"), ("v", "pixel_y", "pixely", "py", "row")
+_U = ("u", "pixel_x", "pixelx", "px", "column", "col", "x_image", "image_x", "x_img", "img_x", "pixel", "sample")
+_V = ("v", "pixel_y", "pixely", "py", "row", "y_image", "image_y", "y_img", "img_y", "line")
+#: Pixels in a table whose places are called otherwise.
+_BARE = ("x", "y")
+_PLACES = ((_X, _Y), (_LONGITUDE, _LATITUDE))
 _CAMERA = ("camera", "camera_id", "cam")
 _WGS84 = "EPSG:4326"
 
 
 def _recognises(name: str, text: str) -> bool:
+    if not name.endswith((".csv", ".tsv", ".txt")):
+        return False
     names = header_of(text[:4096])
-    return name.endswith((".csv", ".tsv", ".txt")) and _one_of(_U, names) is not None and _one_of(_V, names) is not None
+    if None not in _pixels(names):
+        return True
+    return len(names) > 3 and any(None not in (_one_of(x, names), _one_of(y, names)) for x, y in _PLACES)
+
+
+def _pixels(names: Sequence[str]) -> tuple[str | None, str | None]:
+    """The columns of the pixel; x and y where these are not the places."""
+    found = (_one_of(_U, names), _one_of(_V, names))
+    others = [name for name in names if name not in _BARE]
+    if found == (None, None) and any(None not in (_one_of(x, others), _one_of(y, others)) for x, y in _PLACES):
+        return (_one_of(_BARE[:1], names), _one_of(_BARE[1:], names))
+    return found
 
 
 def _one_of(wanted: Sequence[str], names: Sequence[str]) -> str | None:
@@ -33,10 +51,15 @@ def _one_of(wanted: Sequence[str], names: Sequence[str]) -> str | None:
 
 def _read(text: str) -> Sequence[FoundCamera]:
     table = read_rows(text)
-    places, crs, notes = _places(table)
-    pixel = (_one_of(_U, table.names), _one_of(_V, table.names))
+    pixel = _pixels(table.names)
+    places, crs, notes = _places(table.crs, [name for name in table.names if name not in pixel])
     x, y, u, v = (*places, *pixel)
-    if x is None or y is None or u is None or v is None:
+    if u is None or v is None:
+        raise InputError(
+            "the table has no two columns of pixels in the recording",
+            hint="Call them u and v in the first line: to the right, and down.",
+        )
+    if x is None or y is None:
         raise InputError(
             "the table has no two columns of places: x and y, easting and northing, or longitude and latitude",
             hint="Name them in the first line, beside u and v, the pixel in the recording.",
@@ -66,7 +89,7 @@ def _read(text: str) -> Sequence[FoundCamera]:
     return [_camera(name, np.array(rows), crs, notes) for name, rows in found.items()]
 
 
-def _places(table: Rows) -> tuple[tuple[str | None, str | None], str | None, tuple[str, ...]]:
+def _places(said_crs: str, names: Sequence[str]) -> tuple[tuple[str | None, str | None], str | None, tuple[str, ...]]:
     """The two columns that say where points are, the system that they are in, and what a person should know of it.
 
     Longitude and latitude come first, unless the table names a system of another kind: that is of x and y.
@@ -74,19 +97,19 @@ def _places(table: Rows) -> tuple[tuple[str | None, str | None], str | None, tup
     Raises:
         InputError: there are longitude and latitude alone, and the table names a system that has none.
     """
-    earth = (_one_of(_LONGITUDE, table.names), _one_of(_LATITUDE, table.names))
-    plane = (_one_of(_X, table.names), _one_of(_Y, table.names))
+    earth = (_one_of(_LONGITUDE, names), _one_of(_LATITUDE, names))
+    plane = (_one_of(_X, names), _one_of(_Y, names))
     if None in earth:
-        return plane, table.crs or None, ()
-    of_earth = not table.crs or _has_longitudes(table.crs)
+        return plane, said_crs or None, ()
+    of_earth = not said_crs or _has_longitudes(said_crs)
     if None in plane:
         if not of_earth:
             raise InputError(
-                f"the table has {earth[0]} and {earth[1]}, but names {short_crs(table.crs)}, which has neither",
+                f"the table has {earth[0]} and {earth[1]}, but names {short_crs(said_crs)}, which has neither",
                 hint="Leave the line #CRS out where they are in WGS 84, or call the columns easting and northing.",
             )
-        return earth, table.crs or _WGS84, ()
-    used, left, crs = (earth, plane, table.crs or _WGS84) if of_earth else (plane, earth, table.crs)
+        return earth, said_crs or _WGS84, ()
+    used, left, crs = (earth, plane, said_crs or _WGS84) if of_earth else (plane, earth, said_crs)
     note = f"Places are {used[0]} and {used[1]} in {short_crs(crs)}; {left[0]} and {left[1]} were left out."
     return used, crs, (note,)
 

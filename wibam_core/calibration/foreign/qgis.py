@@ -30,7 +30,12 @@ def _read(text: str) -> Sequence[FoundCamera]:
         x, y, u, v = (table.number(line, row, name) for name in ("mapx", "mapy", *pixel))
         places.append([x, y, np.nan])
         pixels.append([u - 0.5, -v - 0.5])
+    downwards = len(pixels) > 0 and all(v < -0.5 for _, v in pixels)
+    if downwards:  # what other programs write in this form; none of a picture's own pixels lies above it
+        pixels = [[u, -v - 1.0] for u, v in pixels]
     notes = ["Heights are not in the file: all points are taken to lie on the road."]
+    if downwards:
+        notes.append("Its pixels count downwards, as QGIS's own do not: they were taken so.")
     if off:
         notes.append(f"{off} points that are switched off were left out.")
     points = SurveyedPoints(

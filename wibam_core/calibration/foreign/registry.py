@@ -2,8 +2,12 @@
 
 from __future__ import annotations
 
+import json
+import zipfile
 from collections.abc import Sequence
 from pathlib import Path
+
+import numpy as np
 
 from wibam_core.calibration.foreign.base import FoundCamera, Reader
 from wibam_core.calibration.foreign.colmap import COLMAP_CAMERAS, COLMAP_IMAGES
@@ -37,6 +41,16 @@ def read_file(path: Path) -> tuple[str, Sequence[FoundCamera]]:
             return MATLAB.name, read_mat(path)
         except InputError as error:
             raise _of_file(path.name, MATLAB.name, error) from error
+    if path.suffix.lower() == ".npz":
+        try:
+            with np.load(path, allow_pickle=False) as arrays:
+                text = json.dumps({name: arrays[name].tolist() for name in arrays.files})
+        except (ValueError, OSError, EOFError, zipfile.BadZipFile) as error:
+            raise InputError(
+                f"{path.name} is no file of NumPy's arrays, or holds objects",
+                hint="Save it as: np.savez('lens.npz', camera_matrix=K, dist_coeffs=dist)",
+            ) from error
+        return read_named(f"{path.name}.json", text)
     return read_named(path.name, read_text(path, _MAX_BYTES))
 
 
@@ -51,9 +65,10 @@ def read_named(name: str, text: str) -> tuple[str, Sequence[FoundCamera]]:
     try:
         reader = next((reader for reader in READERS if reader.recognises(name.lower(), text)), None)
         if reader is None:
-            raise InputError(
-                f"{name} is of no known calibration format", hint=f"Known are {', '.join(r.name for r in READERS)}."
-            )
+            hint = f"Known are {', '.join(r.name for r in READERS)}."
+            if name.lower().endswith((".csv", ".tsv", ".txt")):
+                hint = f"A table of points begins with a line of names, such as x,y,u,v. {hint}"
+            raise InputError(f"{name} is of no known calibration format", hint=hint)
         found = reader.read(text)
     except RecursionError as error:
         raise InputError(f"{name} is nested too deeply") from error

@@ -5,6 +5,7 @@ from __future__ import annotations
 import csv
 import re
 from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 
 from wibam_core.errors import InputError
@@ -42,6 +43,8 @@ class Rows:
             return float(plain)
         except ValueError as error:
             hint = "Give plain numbers, such as 5334567.25."
+            if "°" in text:
+                hint = "Give decimal degrees, such as 48.137154 and -0.127758, south and west negative."
             if re.fullmatch(r"[+-]?\d{1,3}(?:[.,'\u2019\s\u00a0\u202f]\d{3})+(?:[.,]\d*)?", text):
                 raise InputError(f"line {line}, {name}: {text!r} has its thousands set apart", hint=hint) from error
             raise InputError(f"line {line}, {name}: {text!r} is no number", hint=hint) from error
@@ -50,11 +53,13 @@ class Rows:
 def header_of(text: str) -> tuple[str, ...]:
     """The names in the first line that is no comment; () where there is none."""
     line = next((line for _, line in _lines(text)), "")
-    return tuple(_plain(name) for name in next(csv.reader([line], delimiter=_delimiter(line)), []))
+    with suppress(csv.Error):
+        return tuple(_plain(name) for name in _cells(line, _delimiter(line)))
+    return ()
 
 
 def read_rows(text: str) -> Rows:
-    """Read a table, of columns set apart by commas, semicolons or tabs; lines that are comments are passed over.
+    """Read a table of columns set apart by commas, semicolons, tabs or blanks; lines that are comments are passed over.
 
     Raises:
         InputError: a row is longer than the line of names, or a quotation does not end.
@@ -65,7 +70,7 @@ def read_rows(text: str) -> Rows:
     rows = []
     for number, line in lines[1:]:
         try:
-            cells = next(csv.reader([line], delimiter=delimiter, strict=True))
+            cells = _cells(line, delimiter)
         except csv.Error as error:
             raise InputError(f"line {number}: {error}", hint="Save the table again.") from error
         if len(cells) > len(names) and any(cell.strip() for cell in cells[len(names) :]):
@@ -89,7 +94,16 @@ def _lines(text: str) -> list[tuple[int, str]]:
 
 
 def _delimiter(line: str) -> str:
+    if not any(mark in line for mark in (",", ";", "\t")) and len(line.split()) > 1:
+        return " "
     return max((",", ";", "\t"), key=lambda mark: (mark != "," and mark in line, line.count(mark)))
+
+
+def _cells(line: str, delimiter: str) -> list[str]:
+    """Raises:
+    csv.Error: a quotation does not end.
+    """
+    return line.split() if delimiter == " " else next(csv.reader([line], delimiter=delimiter, strict=True), [])
 
 
 def _plain(name: str) -> str:

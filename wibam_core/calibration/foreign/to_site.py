@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,6 +23,9 @@ from wibam_core.site import (
     PointsCalibration,
     SiteCamera,
 )
+
+if TYPE_CHECKING:
+    from pyproj import CRS
 
 Array = NDArray[np.float64]
 Size = tuple[int, int]
@@ -178,6 +181,11 @@ def _world(points: SurveyedPoints, origin: Origin | None, *, raised: bool) -> tu
     return np.column_stack([placed[:, :2], heights]), origin, notes
 
 
+#: Projected systems are used a little beyond their area, as a zone's for a whole town, degrees.
+_BESIDE_DEG = 5.0
+_TURN_DEG = 360.0
+
+
 def _geographic(points: SurveyedPoints) -> tuple[Array, Array]:
     """Longitude and latitude (N,) in WGS 84.
 
@@ -190,7 +198,8 @@ def _geographic(points: SurveyedPoints) -> tuple[Array, Array]:
 
     set_network_enabled(active=False)
     try:
-        transformer = Transformer.from_crs(CRS.from_user_input(points.crs), 4326, always_xy=True)
+        crs = CRS.from_user_input(points.crs)
+        transformer = Transformer.from_crs(crs, 4326, always_xy=True)
         longitude, latitude = transformer.transform(*points.coordinates[:, :2].T)
     except (CRSError, ProjError) as error:
         raise unknown_crs(points.crs or "") from error
@@ -198,4 +207,27 @@ def _geographic(points: SurveyedPoints) -> tuple[Array, Array]:
         raise InputError(
             "some points lie nowhere on Earth", hint=f"Are they in {short_crs(points.crs or '')}, easting first?"
         )
+    if (np.abs(longitude) > _TURN_DEG).any() or (np.abs(latitude) > _TURN_DEG / 4).any():
+        raise InputError(
+            f"longitude {longitude[0]:.10g} and latitude {latitude[0]:.10g} are no degrees",
+            hint="Say which system they are in, as EPSG:25832, where they are easting and northing. In GeoJSON, "
+            "longitude comes first.",
+        )
+    _check_within(crs, points.crs or "", float(np.median(longitude)), float(np.median(latitude)))
     return np.asarray(longitude), np.asarray(latitude)
+
+
+def _check_within(crs: CRS, said: str, longitude: float, latitude: float) -> None:
+    """Raises:
+    InputError: a place lies far outside of where a projected system is used, and where its metres are none any more.
+    """
+    area = crs.area_of_use if crs.is_projected else None
+    if area is None or area.west > area.east:
+        return
+    beside = max(area.west - longitude, longitude - area.east, area.south - latitude, latitude - area.north)
+    if beside > _BESIDE_DEG:
+        raise InputError(
+            f"the points would lie at latitude {latitude:.4f}, longitude {longitude:.4f}, {beside:.0f}° outside of "
+            f"where {short_crs(said)} is used ({area.name})",
+            hint="Is it another system, or another zone? Are easting and northing swapped, or in feet for metres?",
+        )
