@@ -8,7 +8,6 @@ import numpy as np
 import pytest
 import torch
 
-from tests.unit.lifting.test_fit import RIG
 from tests.unit.lifting.test_shapes import site
 from wibam_core.lifting.edge_offsets import EdgeOffsets, learn_edge_offsets
 from wibam_core.lifting.fit import FitProblem, fit
@@ -74,8 +73,11 @@ def test_few_tracks_and_unusable_ones_say_nothing() -> None:
     assert nothing.tracks == 0
 
 
-def test_an_offset_that_is_seen_from_several_sides_is_better_known_than_before() -> None:
+def test_an_offset_is_better_known_than_before_and_taken_only_where_boxes_fit_better_without_it() -> None:
     p, classes, tracks, _ = site(RoadUserClass.CAR, NONE, noise_px=0.3)
-    found = learned(p, classes, tracks)
-    assert (found.sd_px < EdgeOffsets.unknown().sd_px).all()
-    assert len(RIG) > 1
+    before = EdgeOffsets.unknown()
+    found = learned(seen_beside(p, OFFSETS), classes, tracks)
+    assert (found.sd_px < before.sd_px).all()
+    none = learned(p, classes, tracks)
+    assert none.tracks == 0  # noise alone explains too little
+    np.testing.assert_array_equal(none.px, np.zeros(4))
