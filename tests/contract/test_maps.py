@@ -95,6 +95,7 @@ def test_what_lies_nowhere_on_earth_replaces_nothing(api: LiveApi, tmp_path: Pat
     fine, metres = (1e-6, 1e-6, 0.0), (0.5, 0.5, 0.0)
     for site, scale, tie, key in (
         (on_earth, fine, (48.0, 111.0), (2048, 4326)),  # latitude and longitude swapped
+        (on_earth, fine, (48.0, 11.0), (2048, 4326)),  # swapped, too: in Somalia
         (on_earth, metres, (1e300, 1e300), (3072, 32632)),
         (on_earth, (1e308, 1e308, 0.0), (5e5, 5e6), (3072, 32632)),
         (on_earth, metres, (5e5, 5e6), (3072, 5773)),  # heights above a geoid

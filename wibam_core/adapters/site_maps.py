@@ -22,6 +22,9 @@ from wibam_core.formats.map_pictures import MOST_COORDINATE, Affine, shrunk
 from wibam_core.jobs.records import Purpose, StoredFile
 from wibam_core.site import Origin
 
+#: A picture of a site lies within this of the site's origin, m: the world is flat.
+_FARTHEST_M = 100_000.0
+
 
 @dataclass(frozen=True)
 class KeptMap:
@@ -243,6 +246,13 @@ def _in_world(
     except ProjError:
         world = np.full((len(corners), 2), np.nan)
     _check_place(world, f" of {system.name}")
+    away_m = float(np.hypot(*world.T).min())
+    if away_m > _FARTHEST_M:
+        raise InputError(
+            f"the picture's coordinates of {system.name} lie {away_m / 1000:,.0f} km from the site's origin",
+            hint="Are its axes swapped, or the origin's latitude and longitude? Save it anew, in UTM say, or send a "
+            "world file or two points with it.",
+        )
     return np.linalg.lstsq(corners, world, rcond=None)[0].T, origin
 
 

@@ -9,7 +9,11 @@ from pydantic import AfterValidator, ConfigDict, Field, model_validator
 from wibam_core.documents.base import Document, MeanSd
 from wibam_core.road_users import RoadUserClass
 
-Metres = Annotated[float, Field(ge=-1e5, le=1e5)]
+#: Places lie within this of the world's origin, m: worlds may be those of a national grid, whose northings reach it.
+FARTHEST_M = 1e7
+#: Times lie within this of zero, ns either way: differences of two fit into 64 bits.
+LATEST_NS = 2**62
+Metres = Annotated[float, Field(ge=-FARTHEST_M, le=FARTHEST_M)]
 Size = Annotated[float, Field(ge=0.05, le=60)]
 Speed = Annotated[float, Field(ge=-200, le=200)]
 Share = Annotated[float, Field(ge=0, le=1)]
@@ -80,7 +84,7 @@ class HandLabels(Document):
 
     model_config = ConfigDict(extra="forbid", serialize_by_alias=True)
 
-    time_ns: int = Field(ge=-(2**62), le=2**62)
+    time_ns: int = Field(ge=-LATEST_NS, le=LATEST_NS)
     """The instant, on the reference clock."""
     vehicles: HandVehicles = ()
     regions: HandRegions = ()

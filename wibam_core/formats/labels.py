@@ -8,7 +8,7 @@ empty instant was labelled and holds no vehicle. Parquet has the last two in its
 from __future__ import annotations
 
 import json
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import replace
 from itertools import pairwise
 from pathlib import Path
@@ -18,10 +18,10 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 
-from wibam_core.documents.hand_labels import MOST_CORNERS, MOST_REGIONS
+from wibam_core.documents.hand_labels import FARTHEST_M, LATEST_NS, MOST_CORNERS, MOST_REGIONS
 from wibam_core.errors import InvalidLabels
 from wibam_core.formats import tables
-from wibam_core.geometry.box3d import BOX_FIELDS, SIZE
+from wibam_core.geometry.box3d import BOX_FIELDS, SIZE, XYZ
 from wibam_core.road_users import CLASSES
 from wibam_core.scene import FloatArray, LabelledInstant, Vehicles3D
 from wibam_core.text import NotUnicode, decode_text, read_json
@@ -91,6 +91,7 @@ def read_labels(path: Path) -> list[LabelledInstant]:
     if np.isinf(velocities).any():
         raise InvalidLabels("a label has a velocity that is not finite", hint="Correct it, or leave it out.")
     _check(times, boxes, ids, visibility)
+    _check_times([*times.tolist(), *empty])
     starts = np.flatnonzero(np.r_[True, np.diff(times) != 0]) if len(times) else np.empty(0, np.int64)
     found = []
     for a, b in pairwise([*starts.tolist(), len(times)]):
@@ -208,11 +209,23 @@ def _read_json(path: Path) -> tuple[pa.Table, list[int], list[tuple[int, FloatAr
         raise InvalidLabels(f"{path.name}: {cause}", hint="Correct the value's type.") from cause
 
 
+def _check_times(times_ns: Sequence[int]) -> None:
+    beyond = [time_ns for time_ns in times_ns if abs(time_ns) > LATEST_NS]
+    if beyond:
+        raise InvalidLabels(
+            f"{beyond[0]} ns is no time of a recording", hint="Times are in nanoseconds on the reference clock."
+        )
+
+
 def _check(times: np.ndarray, boxes: np.ndarray, ids: np.ndarray, visibility: list[dict[str, float]]) -> None:
     for i, box in enumerate(boxes):
         where = f"label {i} at {times[i]} ns"
         if not np.isfinite(box).all():
             raise InvalidLabels(f"{where} has a number that is not finite", hint="Correct it.", row=i)
+        if (np.abs(box[XYZ]) > FARTHEST_M).any():
+            raise InvalidLabels(
+                f"{where} lies more than {FARTHEST_M / 1000:,.0f} km from the world's origin", hint="Correct it.", row=i
+            )
         if (box[SIZE] <= 0).any():
             raise InvalidLabels(f"{where} has a size that is not positive", hint="Sizes are in metres.", row=i)
         for camera, share in visibility[i].items():

@@ -129,6 +129,8 @@ def test_a_plain_list_of_labels_is_read(tmp_path: Path) -> None:
         ({"length_m": -1}, "not positive"),
         ({"x_m": float("nan")}, "not finite"),
         ({"x_m": "far"}, "far"),
+        ({"y_m": 1.1e7}, "more than 10,000 km from"),
+        ({"time_ns": 2**62 + 1}, "no time of a recording"),
         ({"x_m": None}, "no x_m"),
         ({"class": "tram"}, "tram"),
         ({"visibility": {"a": 1.5}}, "visibility in a"),
@@ -142,6 +144,17 @@ def test_wrong_labels_are_refused_in_words(tmp_path: Path, change: dict, match: 
     with pytest.raises(InvalidLabels, match=match) as caught:
         read_labels(path)
     assert caught.value.hint
+
+
+def test_labels_of_a_national_grid_are_read_and_empty_instants_beyond_all_recordings_are_not(tmp_path: Path) -> None:
+    path = tmp_path / "labels.json"
+    path.write_text(json.dumps([{**GOOD, "x_m": 500_000.0, "y_m": 9_900_000.0}]))
+    (found,) = read_labels(path)
+    assert found.vehicles.boxes[0, :2].tolist() == [500_000.0, 9_900_000.0]
+    for time_ns in (2**62 + 1, -(2**63)):
+        path.write_text(json.dumps({"labels": [GOOD], "empty_instants": [time_ns]}))
+        with pytest.raises(InvalidLabels, match="no time of a recording"):
+            read_labels(path)
 
 
 def test_one_vehicle_twice_at_one_instant_is_refused(tmp_path: Path) -> None:

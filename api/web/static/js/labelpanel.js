@@ -13,7 +13,7 @@ export function makePanel(page) {
   byId("ignored").addEventListener("change", () => page.update({ ignored: byId("ignored").checked }, null));
   fill(byId("numbers"), FIELDS.map(([title, place, factor, step]) => h("label", null, `${title} `, h("input.number", {
     id: `field-${place}`, type: "number", step, onchange: (/** @type {Event} */ event) => {
-      const input = /** @type {HTMLInputElement} */ (event.target), vehicle = page.current(), least = place >= 3 && place <= 5 ? 0.2 : -1e5;
+      const input = /** @type {HTMLInputElement} */ (event.target), vehicle = page.current(), least = place >= 3 && place <= 5 ? 0.2 : -1e7;
       if (!vehicle || input.value === "" || Number(input.value) < least) return;
       page.update({ box: vehicle.box.map((/** @type {number} */ value, /** @type {number} */ k) => (k === place ? Number(input.value) / factor : value)) }, null);
     },
