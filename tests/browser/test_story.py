@@ -242,6 +242,7 @@ def test_from_recordings_to_a_reviewed_table_and_a_video(
         look(tab, "conflicts", phone=True)
         table = list(csv.DictReader(io.StringIO(taken(page, "link", "Reviewed table (CSV)").decode())))
         assert [row["verdict"] for row in table].count("confirmed") == 1
+        assert taken(page, "link", "Reviewed table (PDF)").startswith(b"%PDF-")
         job_id = re.findall("job_[0-9a-f]+", page.url)[0]
         assert tab.complaints == []
     with WibamClient(service.url, service.token) as client:
