@@ -33,7 +33,7 @@ PAGES = {
     "player": ("/jobs/{job}/player", "#plan"),
     "conflicts": ("/jobs/{job}/conflicts", "#conflicts tbody a, #nothing .message"),
     "labelling": ("/jobs/{job}/labelling", "#views canvas"),
-    "models": ("/models", "#models tbody a"),
+    "models": ("/models", "#models tbody tr"),
     "compare": ("/compare", "#compared table, #compared .message"),
     "keys": ("/keys", "#audit tbody tr"),
     "sites": ("/sites", "#sites tbody a"),
