@@ -33,6 +33,9 @@ _SMALLEST_S = 0.002
 _ROW_S = 0.0015
 #: How far the frames of a camera may slide past the changes, in standard deviations of its drift.
 _SLIDES = (-1.2, 0.0, 1.2)
+#: What the rounding of changes does is only known from the changes themselves. With few of them errors follow Student's
+#: t distribution, of as many degrees of freedom as there are more observations than unknowns, but this many at least.
+_LEAST_SPARE = 4
 #: Residuals beyond this many standard deviations count less (a uniform error ends at 1.7).
 _HUBER = 2.0
 
@@ -317,10 +320,13 @@ def _least_squares(system: _System) -> tuple[Array, Array]:
     rows_s = _ROW_S * (gain[:, :m] * weight) @ of_camera.T
     known = others @ others.T + rows_s @ rows_s.T
     slides = np.zeros((1, m))
+    spare = max(m - groups + len(pairs) - unknowns, _LEAST_SPARE)
+    few = spare / (spare - 2)
     for _ in range(2):
-        covariance = known + rounding_covariance(
+        rounded = rounding_covariance(
             gain[:, :m] * weight, system.camera, sets[system.group], system.half, late_s, slides
         )
+        covariance = known + few * rounded
         slides = np.array(_SLIDES)[:, None] * (system.design[:, 1::2] @ np.sqrt(np.diag(covariance)[1::2]))
     freedom = max(m - groups + len(pairs) - unknowns, 1)
     squares = float((robust * error**2).sum() + (pairs_robust * pairs_error**2).sum())
