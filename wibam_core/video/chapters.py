@@ -18,7 +18,17 @@ from wibam_core.errors import UnreadableVideo
 _GOPRO = re.compile(r"(G[HXSL])(\d{2})(\d{4})")
 _GOPRO_FIRST, _GOPRO_LATER = re.compile(r"(GOPR)(\d{4})"), re.compile(r"(GP)(\d{2})(\d{4})")
 _DATE_TIME = re.compile(
-    r"(?<!\d)((?:19|20)\d{2})[-_.]?(\d{2})[-_.]?(\d{2})[-_.T ]{0,3}(\d{2})[-_.:h]?(\d{2})[-_.:m]?(\d{2})(?!\d)"
+    r"(?<!\d)((?:19|20)\d{2})[-_.]?(\d{2})[-_.]?(\d{2})[-_.T ]{0,3}(\d{2})[-_.:h]?(\d{2})[-_.:m]?(\d{2})(\d{3})?(?!\d)"
+)
+#: The same with the day, or the month, in front.
+_DAY_FIRST = re.compile(
+    r"(?<!\d)(\d{2})[-_.](\d{2})[-_.]((?:19|20)\d{2})[-_.T ]{1,3}(\d{2})[-_.:h]?(\d{2})[-_.:m]?(\d{2})(\d{3})?(?!\d)"
+)
+#: One of several views of a camera: words, a letter behind the number (dashcams, DJI), the lens (Insta360).
+_VIEW = re.compile(
+    r"(?<![a-z])(front|rear|back|left|right|inside|wide|tele|thermal)(?![a-z])|\d[-_]?[nepm]?([friwtz])$|"
+    r"^(?:vid|lrv)_\d{8}_\d{6}_(\d{2})_\d{3}$",
+    re.IGNORECASE,
 )
 
 _CHANNEL = re.compile(r"(?:ch|channel|cam|camera)[ _-]?(\d{1,3})(?!\d)", re.IGNORECASE)
@@ -53,8 +63,9 @@ def in_order(names: Sequence[str], begins_ns: Sequence[int | None]) -> list[tupl
         begins_ns: when the files themselves say that they begin, for names that do not say it.
 
     Raises:
-        UnreadableVideo: neither tells the order.
+        UnreadableVideo: neither tells the order, or they are of several views.
     """
+    _check_one_view(names)
     for read in (_gopro, _dated, _numbered):
         named = read(names)
         if named is not None:
@@ -68,6 +79,24 @@ def in_order(names: Sequence[str], begins_ns: Sequence[int | None]) -> list[tupl
         f"neither names nor times tell the order of {', '.join(names)}",
         hint="Number the names of a camera's files, e.g. north_1.mp4 and north_2.mp4.",
     )
+
+
+def _check_one_view(names: Sequence[str]) -> None:
+    """Raises:
+    UnreadableVideo: names tell several views, which were recorded at the same time and not one after the other.
+    """
+    views: dict[str, str] = {}
+    for name in names:
+        stem = PurePath(name).stem
+        match = _VIEW.search(stem)
+        if match is None or not any(letter.isdigit() for letter in stem):
+            return
+        views.setdefault(next(group for group in match.groups() if group).lower(), name)
+    if len(views) > 1:
+        raise UnreadableVideo(
+            f"{' and '.join([*views.values()][:2])} are of different views, which are no parts of one recording",
+            hint="Make each view a camera of its own, with a calibration of its own.",
+        )
 
 
 def _gopro(names: Sequence[str]) -> list[Named] | None:
@@ -107,22 +136,38 @@ def _dated(names: Sequence[str]) -> list[Named] | None:
     """
     named = []
     for name in names:
-        match = _DATE_TIME.search(PurePath(name).stem)
-        time = None
-        if match is not None:
-            with suppress(ValueError):
-                time = datetime(*(int(part) for part in match.groups()), tzinfo=UTC)  # type: ignore[misc,arg-type]
-        if time is None:
+        starts_ns = _starts_ns(PurePath(name).stem)
+        if starts_ns is None:
             return None
-        starts_ns = round(time.timestamp()) * 1_000_000_000
         named.append(Named(name, (starts_ns,), None, starts_ns))
-    channels = {int(match[1]): name for name in names if (match := _CHANNEL.search(_DATE_TIME.sub("", name)))}
+    channels = {
+        int(match[1]): name
+        for name in names
+        if (match := _CHANNEL.search(_DAY_FIRST.sub("", _DATE_TIME.sub("", name))))
+    }
     if len(channels) > 1:
         raise UnreadableVideo(
             f"{' and '.join([*channels.values()][:2])} are of different channels, which are no parts of one recording",
             hint="Give each camera the files of its own channel alone.",
         )
     return _distinct(named)
+
+
+def _starts_ns(stem: str) -> int | None:
+    """The date and time in a name, as if it were UTC; of the day and the month the one above 12, else the first, is the
+    day. None without one."""
+    parts: list[int]
+    if match := _DATE_TIME.search(stem):
+        parts = [int(part) for part in match.groups()[:6]]
+    elif match := _DAY_FIRST.search(stem):
+        day, month, year, *time = (int(part) for part in match.groups()[:6])
+        parts = [year, *((day, month) if month > 12 else (month, day)), *time]
+    else:
+        return None
+    with suppress(ValueError):
+        time_of = datetime(*parts, tzinfo=UTC)  # type: ignore[misc,arg-type]
+        return round(time_of.timestamp()) * 1_000_000_000 + int(match[7] or 0) * 1_000_000
+    return None
 
 
 def _numbered(names: Sequence[str]) -> list[Named] | None:

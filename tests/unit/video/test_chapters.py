@@ -205,3 +205,41 @@ def test_what_was_assumed_of_a_missing_chapter_is_said(tmp_path: Path) -> None:
     assert "GX020042.MP4 should lie between" in said["chapter_missing"]
     assert "as long as the file before" in said["gap_unknown"]
     assert info.segments[1].first_ns == pytest.approx(60 * STEP_NS, abs=MP4_ERROR_NS)
+
+
+@pytest.mark.parametrize(
+    "names",
+    [
+        ("10.0.0.8_01_20240501100000123_1.mp4", "10.0.0.8_01_20240501101000456_2.mp4"),
+        ("31-05-2024 10-00-00.mp4", "01-06-2024 10-10-00.mp4"),
+        ("05.31.2024_10.00.00.mp4", "05.31.2024_10.10.00.mp4"),
+        ("2024_0501_100000_001F.MP4", "2024_0501_100300_002F.MP4"),
+        ("20240501_100000_NF.mp4", "20240501_100100_EF.mp4"),
+        ("VID_20240501_100000_00_001.mp4", "VID_20240501_100000_00_002.mp4"),
+    ],
+)
+def test_names_of_recorders_and_dashcams_tell_the_order(names: tuple[str, str]) -> None:
+    assert [named.name for _, named in in_order(names[::-1], [None, None])] == list(names)
+    assert all(not named.missing_before for _, named in in_order(names, [None, None]))
+
+
+def test_a_name_tells_when_a_file_begins_to_a_millisecond() -> None:
+    [(_, first), (_, second)] = in_order(["01_20240501100000123.mp4", "01_20240501101000456.mp4"], [None, None])
+    assert first.starts_ns is not None and second.starts_ns is not None
+    assert second.starts_ns - first.starts_ns == 600_333_000_000
+
+
+@pytest.mark.parametrize(
+    "names",
+    [
+        ("2024-05-01_10-00-00-front.mp4", "2024-05-01_10-01-00-back.mp4"),
+        ("2024_0501_100000_001F.MP4", "2024_0501_100001_001R.MP4"),
+        ("20240501_100000_NF.mp4", "20240501_100000_NR.mp4"),
+        ("DJI_20240501100000_0001_W.MP4", "DJI_20240501100001_0001_T.MP4"),
+        ("VID_20240501_100000_00_001.insv", "VID_20240501_100000_10_001.insv"),
+    ],
+)
+def test_views_that_were_recorded_together_are_not_joined(names: tuple[str, str]) -> None:
+    with pytest.raises(UnreadableVideo, match="different views") as refused:
+        in_order(names, [None, None])
+    assert "camera of its own" in refused.value.hint
