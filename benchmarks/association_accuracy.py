@@ -2,9 +2,10 @@
 
 2D boxes are the true visible ones with jitter, misses, false boxes and wrong classes (`benchmarks.lifting`). Prints of
 pairs of boxes of different cameras how many of those said to show one vehicle do (precision), how many of those that do
-are said to (recall) and F1, and identity switches: how often a vehicle that is seen has another track than when it was
-seen last, per 100 vehicles. With ``--turned-deg`` every camera is turned by that angle about a random axis, which makes
-cameras disagree, by so many metres at the median; "wider gates" associates with the covariance of such an error.
+are said to (recall) and F1; identity switches: how often a vehicle that is seen has another track than when it was seen
+last, per 100 vehicles; and how often a track goes over to another vehicle, per 100 tracks. With ``--turned-deg`` every
+camera is turned by that angle about a random axis, which makes cameras disagree, by so many metres at the median;
+"wider gates" associates with the covariance of such an error.
 
 Run: python -m benchmarks.association_accuracy [--seeds 1 2 3] [--seconds 60] [--turned-deg 0 0.5]
 """
@@ -33,12 +34,17 @@ CONFIG = AssociateConfig()
 
 
 def switches(true: Sequence[AnnotatedInstant], found: Sequence[AnnotatedInstant]) -> tuple[int, int]:
-    """How often a true vehicle changes its track, that of most of its boxes, and how many vehicles there are."""
+    """How often a true vehicle changes its track, that of most of its boxes, and how many vehicles there are.
+
+    With tracks given as true and vehicles as found: how often a track goes over to another vehicle.
+    """
     last: dict[int, int] = {}
     count = 0
     for one, other in zip(true, found, strict=True):
         track_of = {view: v.track_id for v in other.vehicles for view in v.views.items() if v.track_id >= 0}
         for vehicle in one.vehicles:
+            if vehicle.track_id < 0:
+                continue
             tracks = sorted(track_of[view] for view in vehicle.views.items() if view in track_of)
             if not tracks:
                 continue
@@ -71,8 +77,8 @@ def main() -> None:
     torch.set_num_threads(1)
     cv2.setNumThreads(1)
     print("| seed | turned by (°) | cameras disagree by (m) | most in view | method | precision | recall | F1 "
-          "| switches per 100 vehicles |")  # fmt: skip
-    print("|---|---|---|---|---|---|---|---|---|")
+          "| switches per 100 vehicles | going over per 100 tracks |")  # fmt: skip
+    print("|---|---|---|---|---|---|---|---|---|---|")
     for seed in arguments.seeds:
         site = simulate(seed, arguments.seconds, arguments.cache)
         detected = [AnnotatedInstant(i.time_ns, i.detections) for i in site.instants]
@@ -88,10 +94,11 @@ def main() -> None:
             for name, found in ways.items():
                 precision, recall = pair_scores(site.instants, found)
                 changed, vehicles = switches(site.instants, found)
+                over, tracks = switches(found, site.instants)
                 print(
                     f"| {seed} | {turned_deg:g} | {disagreement_m(site, rig):.2f} | {most} | {name} | {precision:.3f} "
                     f"| {recall:.3f} | {2 * precision * recall / max(precision + recall, 1e-9):.3f} "
-                    f"| {100 * changed / max(vehicles, 1):.1f} |",
+                    f"| {100 * changed / max(vehicles, 1):.1f} | {100 * over / max(tracks, 1):.1f} |",
                     flush=True,
                 )
 

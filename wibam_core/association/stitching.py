@@ -25,10 +25,12 @@ from wibam_core.scene import FloatArray, IntArray
 _END_S = 1.5
 #: Standard deviation of a speed, along each axis, before anything of the vehicle was seen.
 _USUAL_SPEED_MPS = 10.0
-#: A vehicle slower than this stands.
+#: A vehicle stands if it is slower than this, as far as one can say: give or take the standard deviation of its speed,
+#: which counts as this at most.
 _STANDING_MPS = 1.0
 #: A moving vehicle is expected where the mean of its velocities before and after takes it. Standard deviation of the
-#: acceleration that leads it elsewhere, of the mean acceleration from the one velocity to the other, and of a velocity.
+#: acceleration that leads it elsewhere, of the mean acceleration from the one velocity to the other, which are those of
+#: the middles of what was seen before and after, and of a velocity.
 _ACCELERATION_MPS2, _MEAN_ACCELERATION_MPS2, _SPEED_SD_MPS = 1.0, 2.0, 1.5
 #: Standard deviation of how far a standing vehicle creeps while it is hidden.
 _CREEP_M = 0.6
@@ -55,12 +57,20 @@ class Sightings:
 
 
 class _Ends(NamedTuple):
-    """First or last moments of T tracks: times (T,) s, positions (T, 2) m, their s.d. (T,), velocities (T, 2) m/s."""
+    """First or last moments of T tracks.
+
+    Attributes:
+        times_s: (T,). positions: (T, 2) m. sd_m: (T,) of the positions.
+        velocities: (T, 2) m/s, the mean of what was seen about then. speed_sd_mps: (T,) of either component.
+        velocity_times_s: (T,) the middle of the time that this mean is of.
+    """
 
     times_s: FloatArray
     positions: FloatArray
     sd_m: FloatArray
     velocities: FloatArray
+    speed_sd_mps: FloatArray
+    velocity_times_s: FloatArray
 
 
 def stitch(instants: Sequence[Sightings], tracks: Sequence[IntArray], config: AssociateConfig) -> list[IntArray]:
@@ -149,7 +159,7 @@ def _matched(earlier: IntArray, later: IntArray, cost: FloatArray, count: int) -
 
 def _end(
     own: IntArray, which: int, times_s: FloatArray, positions: FloatArray, sd_m: FloatArray
-) -> tuple[float, FloatArray, float, FloatArray]:
+) -> tuple[float, FloatArray, float, FloatArray, float, float]:
     """The first (0) or last (−1) moment, as in `_Ends`, of a track with the rows ``own``: on a straight line through
     what was seen about then."""
     at = float(times_s[own[which]])
@@ -158,7 +168,8 @@ def _end(
     weighted = design / sd_m[own, None] ** 2
     information = design.T @ weighted + np.diag([0.0, _USUAL_SPEED_MPS**-2.0])
     place, velocity = np.linalg.solve(information, weighted.T @ positions[own])
-    return at, place, float(np.median(sd_m[own])), velocity
+    speed_sd = float(np.sqrt(np.linalg.inv(information)[1, 1]))
+    return at, place, float(np.median(sd_m[own])), velocity, speed_sd, float(times_s[own].mean())
 
 
 def _costs(ends: _Ends, begins: _Ends, config: AssociateConfig) -> FloatArray:
@@ -167,10 +178,12 @@ def _costs(ends: _Ends, begins: _Ends, config: AssociateConfig) -> FloatArray:
     moved = begins.positions - ends.positions
     variance = ends.sd_m**2 + begins.sd_m**2
     far = np.linalg.norm(moved, axis=1) > config.max_speed_mps * hidden_s + _GATE_SD * np.sqrt(variance)
-    slow = [np.linalg.norm(of.velocities, axis=1) < _STANDING_MPS for of in (ends, begins)]
+    slowest = [_STANDING_MPS + np.minimum(of.speed_sd_mps, _STANDING_MPS) for of in (ends, begins)]
+    slow = [np.linalg.norm(of.velocities, axis=1) < mps for of, mps in zip((ends, begins), slowest, strict=True)]
     mean_velocity = 0.5 * (ends.velocities + begins.velocities)
     change = np.square(begins.velocities - ends.velocities).sum(axis=1)
-    change /= _SPEED_SD_MPS**2 + (_MEAN_ACCELERATION_MPS2 * hidden_s) ** 2
+    between_s = begins.velocity_times_s - ends.velocity_times_s
+    change /= _SPEED_SD_MPS**2 + (_MEAN_ACCELERATION_MPS2 * between_s) ** 2
     ways = (
         (slow[0] & slow[1] & (hidden_s <= config.max_hidden_standing_s), moved, _CREEP_M, 0.0),
         (

@@ -61,6 +61,18 @@ def test_no_vehicle_stops_at_once() -> None:
     assert stitched((driving(2.0), 0, 2), (standing(4.5), 2.6, 5)) == [{0}, {0}]
 
 
+def test_a_vehicle_that_brakes_is_the_same_with_another_camera() -> None:
+    """What is seen of it for 1.5 s before and after has mean speeds of 4.9 and 1.7 m/s, however short the gap is."""
+    braking = lambda t: (7.0 * t - t**2, 0.0)  # noqa: E731 - a way, as those above
+    assert stitched((braking, 0, 1.8), (braking, 1.9, 3.5)) == [{0}, {0}]
+
+
+def test_a_standing_vehicle_may_seem_to_creep_as_much_as_its_place_is_unknown() -> None:
+    seeming = lambda t: (5.0 + 1.2 * max(t - 1.5, 0.0), 0.0)  # noqa: E731 - a way, as those above
+    assert stitched((seeming, 0, 3), (standing(6.8), 13, 16)) == [{0}, {0}]
+    assert stitched((driving(3.0), 0, 3), (standing(9.0), 13, 16)) == [{0}, {1}]
+
+
 def test_no_vehicle_is_faster_than_the_limit() -> None:
     tracks = ((driving(12.0), 0, 2), (driving(12.0), 3, 5))
     assert stitched(*tracks, max_speed_mps=8.0) == [{0}, {1}]
