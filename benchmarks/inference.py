@@ -4,7 +4,7 @@ Per way of running the small network: the time from images to boxes (resizing, n
 network's own on prepared input, both in CPU time on one thread, without a second look at the vehicles ("fitted") and
 with it ("refined"), which takes as much longer as there are vehicles; ONNX Runtime's over torch's; images per second.
 Images are simulated, of the size that the service stores. All are timed in turn, round by round; printed is the median
-of the rounds with its quartiles. Where there is a GPU, images per second there follow, by the clock.
+of the rounds with its quartiles. `benchmarks/gpu.py` measures GPUs.
 
 Run: python benchmarks/inference.py [--rounds 30] [--images 16] [--batch 8] [--weights FILE.safetensors]
 """
@@ -55,8 +55,6 @@ class Way:
         with torch.inference_mode():
             for batch in self.inputs:
                 self.network(batch)
-        if self.inputs[0].is_cuda:
-            torch.cuda.synchronize()
 
 
 def load_small(path: Path) -> SmallMonocular:
@@ -139,17 +137,6 @@ def main() -> None:
     print(
         f"ONNX Runtime over torch: the network alone {ratios['forward']}, images to boxes, fitted, {ratios['fitted']}"
     )
-    if torch.cuda.is_available():
-        _on_gpu(arguments.weights, frames, arguments.batch, arguments.rounds)
-
-
-def _on_gpu(weights: Path, frames: list[Frame], batch: int, rounds: int) -> None:
-    network = load_small(weights)
-    network.module.cuda()
-    way = Way("GPU", network, network.module, batches_of(frames, batch, "cuda", torch.channels_last))
-    seconds = measure([way], frames, batch, rounds, time.perf_counter)["GPU"]
-    by_decode = ", ".join(f"{decode} {spread(len(frames) / seconds[decode])}" for decode in DECODES)
-    print(f"GPU           images per second: {by_decode}, the network alone {spread(len(frames) / seconds['forward'])}")
 
 
 if __name__ == "__main__":

@@ -7,7 +7,7 @@
 3. Making a batch (draw, augment, encode) against the step.
 4. Peak memory at once and four times as many frames.
 
-On a CUDA device also: images per second of fine-tuning.
+`benchmarks/gpu.py` measures GPUs.
 
 Run: OMP_NUM_THREADS=1 python benchmarks/training.py [--rounds 7] [--parts loss step memory]
 """
@@ -38,7 +38,6 @@ from wibam_core.geometry.torch_ops import CameraTensors, corners, giou, tight_bo
 from wibam_core.models.frames import INPUT_WIDTH_PX, to_input
 from wibam_core.models.weights import bundled
 from wibam_core.networks.dla34.architecture import DLA34
-from wibam_core.networks.dla34.network import CenterTrack
 from wibam_core.networks.registry import load_network
 from wibam_core.networks.small.targets import encode
 from wibam_core.scene import AnnotatedInstant, CameraRig, Detections2D, MultiViewVehicle, Vehicles3D
@@ -220,6 +219,7 @@ def step_seconds(
     steps: int,
     scratch: Path,
     clock: Callable[[], float],
+    /,
     **options: Any,
 ) -> float:
     """Median seconds of a training step, once every image is in the cache."""
@@ -314,24 +314,10 @@ def benchmark_memory() -> None:
         print(f"{frames:>6}  {raw:6.0f}  {peak:>8}  {anonymous:>9}", flush=True)
 
 
-# --- on a GPU -----------------------------------------------------------------------------------
-def benchmark_cuda() -> None:
-    """Images per second of fine-tuning, batches drawn and losses taken on the CPU as they are."""
-    print("\nFine-tuning on the GPU, batch 16\nnetwork            images/s")
-    with tempfile.TemporaryDirectory() as name:
-        dataset = make_dataset(Path(name) / "frames", MOMENTS)
-        small = load_network(bundled("mono_small.safetensors"))
-        networks: tuple[tuple[TrainableNetwork, str], ...] = ((small, "small"), (CenterTrack(DLA34()), "custom"))
-        for network, kind in networks:
-            options = {"network": kind, "device": "cuda", "batch_size": 16}
-            seconds = step_seconds(network, dataset, 50, Path(name), time.perf_counter, **options)
-            print(f"{network.card.family:17}  {16 / seconds:8.0f}", flush=True)
-
-
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--rounds", type=int, default=7)
-    parser.add_argument("--parts", nargs="+", choices=("loss", "step", "memory", "cuda"), default=None)
+    parser.add_argument("--parts", nargs="+", choices=("loss", "step", "memory"), default=None)
     parser.add_argument("--memory-of", type=int, default=None, help=argparse.SUPPRESS)
     arguments = parser.parse_args()
     torch.set_num_threads(1)
@@ -339,15 +325,13 @@ def main() -> None:
     if arguments.memory_of is not None:
         memory_of(arguments.memory_of)
         return
-    parts = arguments.parts or ("loss", "step", "memory", "cuda")
+    parts = arguments.parts or ("loss", "step", "memory")
     if "loss" in parts:
         benchmark_loss(arguments.rounds)
     if "step" in parts:
         benchmark_step(arguments.rounds)
     if "memory" in parts:
         benchmark_memory()
-    if "cuda" in parts and torch.cuda.is_available():
-        benchmark_cuda()
 
 
 if __name__ == "__main__":
