@@ -2,9 +2,11 @@
 
     python -m benchmarks.synchronisation_real SITE_FOLDER --draws 4
 
-The stamps of the recordings are those of one clock. Each draw shifts every camera's by up to a minute and lets its
-clock drift, as if the recordings had been started by hand, and finds the clocks again from vehicles that the bundled
-detector sees. SITE_FOLDER is by default ``state_ellsworth`` in the folder ``real`` beside ``$WIBAM_TEST_ASSETS``.
+The stamps of the recordings are those of one clock. Whether they say when frames were exposed is asked first: in a
+frame whose stamp is later than an even one, vehicles either are farther on, or it only arrived late. Each draw shifts
+every camera's by up to a minute and lets its clock drift, as if the recordings had been started by hand, and finds
+the clocks again from vehicles that the bundled detector sees. SITE_FOLDER is by default ``state_ellsworth`` in the
+folder ``real`` beside ``$WIBAM_TEST_ASSETS``.
 """
 
 from __future__ import annotations
@@ -15,13 +17,15 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
+from numpy.typing import NDArray
 
+from wibam_core.association.tracklets import tracklets
 from wibam_core.calibration.rig import calibrate
 from wibam_core.config import CalibrateConfig
 from wibam_core.detection.detector import BUNDLED, load_detector
 from wibam_core.errors import WibamError
 from wibam_core.geometry.pixels import resized_px, scale_of, shrunk_image
-from wibam_core.scene import CameraRig, Detections2D
+from wibam_core.scene import AnnotatedInstant, CameraRig, Detections2D
 from wibam_core.site import Site
 from wibam_core.sync.paths import ground_paths
 from wibam_core.sync.witnesses import synchronise
@@ -29,7 +33,14 @@ from wibam_core.synthetic.clocks import CameraClock
 from wibam_core.video.decode import decode
 from wibam_core.video.recording import Recording
 
+FloatArray = NDArray[np.float64]
+
 _WIDTH_PX = 960
+#: A stamp is late from here on, and as usual up to there, s.
+_LATE_S, _EVEN_S = 0.03, 0.01
+#: A vehicle's way is a parabola through this many frames before and after; slower ones tell no time.
+_NEAR_FRAMES, _LEAST_SPEED_PX_S = 6, 25.0
+_FEWEST_SIGHTINGS = 5
 
 
 def detected(folder: Path, site: Site) -> dict[str, list[Detections2D]]:
@@ -46,6 +57,63 @@ def detected(folder: Path, site: Site) -> dict[str, list[Detections2D]]:
             seen = Detections2D(camera.id, time_ns, resized_px(boxes.boxes, scale), boxes.scores, boxes.classes)
             found[camera.id].append(seen)
     return found
+
+
+def late_frames(frames: list[Detections2D]) -> tuple[int, FloatArray, FloatArray, FloatArray]:
+    """How late vehicles are seen in frames with late stamps.
+
+    Args:
+        frames: of one camera that exposes them at an even rate or is thought to.
+
+    Returns:
+        How many stamps are late; and of each sighting (N,) in them by how much later than an even one the stamp is (s),
+        by how much later the vehicle's way by the other frames has it there (s), and its weight.
+    """
+    times_s = np.array([frame.frame_time_ns / 1e9 for frame in frames])
+    number = np.rint((times_s - times_s[0]) / np.median(np.diff(times_s)))
+    line = np.polyfit(number, times_s, 1)
+    for _ in range(10):
+        off = times_s - np.polyval(line, number)
+        usual = np.abs(off - np.median(off)) < _EVEN_S
+        line = np.polyfit(number[usual], times_s[usual], 1)
+    even_s = np.polyval(line, number)
+    late_s = times_s - even_s
+    even = [replace(f, frame_time_ns=round(1e9 * t)) for f, t in zip(frames, even_s, strict=True)]
+    camera_id = frames[0].camera_id
+    followed = tracklets([AnnotatedInstant(f.frame_time_ns, {camera_id: f}) for f in even], [camera_id], 1.0)
+    ways: dict[int, list[tuple[int, float, float]]] = {}
+    for k, (frame, numbers) in enumerate(zip(even, followed, strict=True)):
+        for box, way in zip(frame.boxes, numbers[camera_id].tolist(), strict=True):
+            ways.setdefault(way, []).append((k, *(0.5 * (box[:2] + box[2:])).tolist()))
+    rows = []
+    for way in ways.values():
+        at, px = np.array([k for k, _, _ in way]), np.array([point for _, *point in way])
+        for k in np.flatnonzero(np.abs(late_s[at]) > _LATE_S).tolist():
+            near = (np.abs(at - at[k]) <= _NEAR_FRAMES) & (np.abs(late_s[at]) < _EVEN_S)
+            if min((near & (at < at[k])).sum(), (near & (at > at[k])).sum()) < 2 or near.sum() < 6:
+                continue
+            powers = np.vander(even_s[at[near]] - even_s[at[k]], 3)
+            fit = np.linalg.lstsq(powers, px[near], rcond=None)[0]
+            speed = float(np.linalg.norm(fit[1]))
+            if speed >= _LEAST_SPEED_PX_S:
+                left_px = max(float((px[near] - powers @ fit).std()), 0.5)
+                rows.append((late_s[at[k]], (px[k] - fit[2]) @ fit[1] / speed**2, (speed / left_px) ** 2))
+    table = np.array(rows).reshape(-1, 3)
+    return int((np.abs(late_s) > _LATE_S).sum()), table[:, 0], table[:, 1], table[:, 2]
+
+
+def tell_stamps(frames: list[Detections2D]) -> None:
+    """Print by how much vehicles follow the stamps that are late: 1 where those are the exposures', 0 where not."""
+    count, stamp_s, seen_s, weight = late_frames(frames)
+    told = f"{frames[0].camera_id}: {count} of {len(frames)} stamps are {1e3 * _LATE_S:.0f} ms off even ones"
+    if len(weight) >= _FEWEST_SIGHTINGS:
+        weight = np.minimum(weight, np.percentile(weight, 80))
+        squares = (weight * stamp_s**2).sum()
+        slope = (weight * stamp_s * seen_s).sum() / squares
+        left = weight * stamp_s * (seen_s - slope * stamp_s)
+        sd = np.sqrt((left**2).sum()) / squares
+        told += f"; vehicles follow them by {slope:.2f} ± {sd:.2f} ({len(weight)} sightings)"
+    print(told, flush=True)
 
 
 def draw(seen: dict[str, list[Detections2D]], rig: CameraRig, clocks: list[CameraClock]) -> None:
@@ -88,6 +156,8 @@ def main() -> None:
     site = Site.load(arguments.site / "site.json")
     rig, _ = calibrate(site, CalibrateConfig())
     seen = detected(arguments.site, site)
+    for frames in seen.values():
+        tell_stamps(frames)
     rng = np.random.default_rng(0)
     for _ in range(arguments.draws):
         starts_s = rng.uniform(-1, 1, len(seen)) * arguments.max_offset_s
