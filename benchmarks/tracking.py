@@ -5,6 +5,9 @@ their variance lasting from frame to frame, some headings turned by 180°, misse
 
     python benchmarks/tracking.py --seeds 0 1 2 3 --cameras 4
 
+Of a simulated site that was rendered (`wibam simulate`, `wibam run`) ``--site`` judges the tracks of the last run by
+its labels.
+
 What HOTA would be if places, headings or sizes of the tracked boxes were those of the nearest true ones, says
 ``--parts``.
 """
@@ -15,16 +18,22 @@ import argparse
 import time
 from collections.abc import Sequence
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
+from wibam_core.artifacts.catalogue import TRACKS
 from wibam_core.config import SafetyConfig, TrackConfig
+from wibam_core.evaluation.labels_at import LabelTimeline
+from wibam_core.formats.labels import read_labels
 from wibam_core.geometry.box3d import SIZE, XY, YAW
 from wibam_core.geometry.se3 import normalise_angle
 from wibam_core.road_users import CLASSES
 from wibam_core.safety.conflicts import find_conflicts
 from wibam_core.scene import Track, Vehicles3D
+from wibam_core.stages.runner import SiteFolder, latest
+from wibam_core.stages.store import StageStore
 from wibam_core.synthetic.layout import make_layout
 from wibam_core.synthetic.signals import SignalProgram
 from wibam_core.synthetic.traffic import Traffic, simulate_traffic
@@ -138,13 +147,57 @@ def with_true(truth: Sequence[Track], found: Sequence[Track], columns: int | sli
     return changed
 
 
+def report_site(folder: Path) -> None:
+    """Prints HOTA of the last run's tracks at a simulated site, near the middle, where its labels know the truth."""
+    outputs = latest(SiteFolder.load(folder), StageStore(folder / "outputs"))
+    labels = LabelTimeline(read_labels(folder / "labels.parquet"))
+    found = [near for track in outputs.read(TRACKS) if (near := near_middle(track)) is not None]
+    rows: dict[int, list[tuple[int, Array, int]]] = {}
+    for time_ns in sorted({int(time_ns) for track in found for time_ns in track.times_ns}):
+        label = labels.at(time_ns)
+        if label is not None:
+            of = label.vehicles
+            for number, box, kind in zip(of.ids.tolist(), of.boxes, of.classes.tolist(), strict=True):
+                rows.setdefault(number, []).append((time_ns, box, kind))
+    truth = []
+    for number, states in sorted(rows.items()):
+        n, boxes = len(states), np.array([box for _, box, _ in states])
+        times = np.array([time_ns for time_ns, _, _ in states])
+        track = Track(number, CLASSES[states[0][2]], times, boxes, np.full((n, 7), 0.02), np.zeros((n, 2)), np.zeros(n))
+        near = near_middle(track)
+        if near is not None:
+            truth.append(near)
+    score = hota(truth, found)
+    print(f"{len(truth)} vehicles, {len(found)} tracks: HOTA {score.hota:.3f}, DetA {score.det_a:.3f}, AssA "
+          f"{score.ass_a:.3f}, LocA {score.loc_a:.3f}")  # fmt: skip
+
+
+def near_middle(track: Track) -> Track | None:
+    """What of a track lies within `RADIUS_M` of the middle; None: nothing."""
+    near = np.hypot(*track.boxes[:, XY].T) < RADIUS_M
+    if not near.any():
+        return None
+    return replace(
+        track,
+        times_ns=track.times_ns[near],
+        boxes=track.boxes[near],
+        sd=track.sd[near],
+        velocities_mps=track.velocities_mps[near],
+        yaw_rates_radps=track.yaw_rates_radps[near],
+    )
+
+
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--seeds", type=int, nargs="+", default=[0, 1, 2, 3])
     parser.add_argument("--seconds", type=float, default=60.0)
     parser.add_argument("--cameras", type=int, default=4)
     parser.add_argument("--parts", action="store_true", help="HOTA with true places, headings and sizes, too")
+    parser.add_argument("--site", type=Path, default=None, help="a simulated site with a run; nothing else is done")
     arguments = parser.parse_args()
+    if arguments.site:
+        report_site(arguments.site)
+        return
     print(
         "seed  true  tracks   HOTA   DetA   AssA   LocA  z xy  z yaw  conflicts true/tracked  vehicles  ms/instant"
         "  s conflicts"
