@@ -1,6 +1,7 @@
-"""Files that were joined byte by byte (``cat``, ``copy /b``), of which players and decoders read the first one alone.
+"""Files that were joined byte by byte (``cat``, ``copy /b``).
 
-Transport and program streams, AVI and Matroska can be joined so. Of MP4, FLV and ASF the rest is passed over silently.
+Transport and program streams and Matroska can be joined so: their clock starts anew. AVI is read on as if no time had
+passed. Of MP4, FLV and ASF the rest is passed over silently.
 """
 
 from __future__ import annotations
@@ -20,7 +21,7 @@ _ASF = bytes.fromhex("3026b2758e66cf11a6d900aa0062ce6c")
 
 
 def joined_at(path: Path, container: str) -> int | None:
-    """Where in a file a second recording begins that is not read; None: nowhere, or another container.
+    """Where in an MP4, AVI, FLV or ASF file a second recording begins; None: nowhere, or another container.
 
     Args:
         path: the file.
@@ -30,6 +31,8 @@ def joined_at(path: Path, container: str) -> int | None:
         with path.open("rb") as file:
             if container == "mov":
                 return _second_mp4(file, path.stat().st_size)
+            if container == "avi":
+                return _second_avi(file, path.stat().st_size)
             if container in ("flv", "asf"):
                 with mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ) as content:
                     return _second_flv(content) if container == "flv" else _none_if_negative(content.find(_ASF, 1))
@@ -61,6 +64,18 @@ def _second_mp4(file: BinaryIO, size: int) -> int | None:
         if kind == b"ftyp" and begun:
             return start - 8
         begun = begun or kind in (b"moov", b"mdat")
+    return None
+
+
+def _second_avi(file: BinaryIO, size: int) -> int | None:
+    """A recording of more than a gigabyte goes on in further lists of its own, ``AVIX`` (OpenDML 1.02)."""
+    at = 0
+    while at + 12 <= size:
+        file.seek(at)
+        kind, length, form = struct.unpack("<4sI4s", file.read(12))
+        if at and kind == b"RIFF" and form == b"AVI ":
+            return at
+        at += 8 + length + length % 2
     return None
 
 

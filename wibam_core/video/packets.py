@@ -192,6 +192,11 @@ def read_packets(file: RecordingFile, *, look: bool) -> FilePackets:
         elif name == "avi" and len(stamps) and stream.time_base:
             # it counts frames that show once more what was before, too, which have no bytes
             missing = max(stream.frames - 1 - round(stamps.max() / (1e9 * stream.time_base)), 0)
+            if (second := joined_at(file.path, name)) is not None:
+                later = np.array(reader.places) >= second
+                stamps[later] -= stamps[later].min(
+                    initial=stamps.max()
+                )  # its clock starts anew, as in other containers
         else:
             missing = max(stream.frames - reader.packets, 0)
         return FilePackets(
@@ -230,6 +235,7 @@ class _Reader:
         self._no_clock = container.format.name in _NO_CLOCK
         self.numbers: list[int] = []
         self.stamps: list[int] = []
+        self.places: list[int] = []
         self.looks: dict[int, Look] = {}
         self._orientations = Orientations()
         self.packets = self.hidden = self.lead_in = self.unstamped = self.smeared = 0
@@ -258,6 +264,7 @@ class _Reader:
             else:
                 self.numbers.append(number)
                 self.stamps.append(time_ns)
+                self.places.append(-1 if packet.pos is None else packet.pos)
             if self._look and packet.is_keyframe and (number >= look_at or _header(packet) not in headers):
                 headers.add(_header(packet))
                 if self._look_at(number, packet):
@@ -271,7 +278,7 @@ class _Reader:
     def unread_share(self, path: Path, container: str) -> float:
         """Share of the file's bytes that lie in recordings or tracks before or behind what was read."""
         size = path.stat().st_size
-        if (end := joined_at(path, container)) is not None:
+        if container != "avi" and (end := joined_at(path, container)) is not None:
             return 1.0 - end / size
         if container not in _READ_IN_PART or not self._last_byte:
             return 0.0

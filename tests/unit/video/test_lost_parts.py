@@ -63,6 +63,17 @@ def test_the_rest_of_files_joined_byte_by_byte_is_said_to_be_unread(tmp_path: Pa
     assert codes(info) == ["part_unread"]
 
 
+@pytest.mark.parametrize("codec", ["libx264", "mpeg4"])
+def test_the_second_of_joined_avi_files_is_a_segment_of_its_own(tmp_path: Path, codec: str) -> None:
+    path = write(tmp_path / "a.avi", range(30), codec=codec, b_frames=2)
+    second = write(tmp_path / "b.avi", range(30, 60), codec=codec, b_frames=2)
+    path.write_bytes(path.read_bytes() + second.read_bytes())
+    info = probe(path)
+    assert [(segment.frames, segment.placed_by) for segment in info.segments] == [(30, "stamps"), (30, "assumed")]
+    assert [number_of(image) for _, image in decode(path)] == [*range(60)]
+    assert codes(info) == ["gap_unknown"]
+
+
 def transport_stream(path: Path, numbers: range, *, track: int, shift_s: float) -> Path:
     """A transport stream whose video has this packet identifier."""
     return copy(write(path.with_suffix(".mkv"), numbers), path, shift_s=shift_s, mpegts_start_pid=str(track))
