@@ -106,11 +106,11 @@ def publish(api: LiveApi, job_id: str, write: Callable[[str, Path], None]) -> No
     """Let all stages of a job succeed; ``write`` puts what a stage makes into a folder."""
     leases, store = api.services.leases, api.services.stages
     for stage in api.services.jobs.job(job_id).stages:
-        if stage.state is StageState.REUSED:  # of another job with the same inputs
+        claim = leases.claim(StageKey(job_id, stage.name), "tests")
+        if claim is None:  # another job with the same inputs has made it, which may have been settled just now
+            assert api.services.jobs.job(job_id).stage(stage.name).state is StageState.REUSED, stage.name
             _assert_same(store.manifest(stage.name, stage.hash).files, stage.name, write)
             continue
-        claim = leases.claim(StageKey(job_id, stage.name), "tests")
-        assert claim is not None, stage.name
         attempt = store.begin(stage.name, stage.hash)
         write(stage.name, attempt.output)
         warnings = [AMBIGUOUS] if stage.name == "sync" else []

@@ -7,6 +7,7 @@ import os
 import signal
 import threading
 from collections.abc import Callable, Iterator
+from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
 from itertools import pairwise
 from pathlib import Path
@@ -58,6 +59,13 @@ def stages_end(api: LiveApi, model: dict, then: Callable[[], None] = lambda: Non
     stop = threading.Event()
 
     def work() -> None:
+        try:
+            end_all()
+        except BaseException:
+            os.kill(os.getpid(), signal.SIGTERM)  # else the watch waits for ever for a run that does not end
+            raise
+
+    def end_all() -> None:
         dealt_with = {run["id"] for run in runs(api, model)}
         while not stop.wait(0.5):
             for run in runs(api, model):
@@ -66,13 +74,13 @@ def stages_end(api: LiveApi, model: dict, then: Callable[[], None] = lambda: Non
                     publish(api, run["id"], made())
                     then()
 
-    thread = threading.Thread(target=work)
-    thread.start()
-    try:
-        yield
-    finally:
-        stop.set()
-        thread.join()
+    with ThreadPoolExecutor(1) as pool:
+        ending = pool.submit(work)
+        try:
+            yield
+        finally:
+            stop.set()
+            ending.result()
 
 
 def wibam_watch(api: LiveApi, *arguments: str) -> str:
