@@ -6,7 +6,6 @@ Streams of cameras are recorded into the same folder (`adapters.stream_recorder`
 from __future__ import annotations
 
 import json
-import re
 import signal
 import time
 from collections.abc import Mapping, Sequence
@@ -14,7 +13,7 @@ from contextlib import ExitStack, suppress
 from dataclasses import dataclass
 from datetime import UTC, datetime, timedelta
 from functools import partial
-from pathlib import Path
+from pathlib import Path, PurePath
 from types import FrameType
 from typing import Annotated, Any
 
@@ -28,15 +27,11 @@ from wibam_core.cli.run import parse_options
 from wibam_core.cli.service import DEFAULT_URL, Token, Url, connect
 from wibam_core.client import WibamClient
 from wibam_core.errors import InputError, WibamError
+from wibam_core.video.name_times import time_in
 
 #: Beside the footage: which files were run, and in which run.
 _DONE = ".wibam-watched.json"
 _VIDEO = {".mp4", ".mkv", ".mov", ".ts", ".m4v", ".avi", ".webm"}
-#: A time in a file's name, as recorders write it: 20260701-080000, 2026-07-01T08_00_00, ...
-_TIME = re.compile(
-    r"(?<!\d)(20\d{2})[-_.]?(\d{2})[-_.]?(\d{2})[-_.T ]{0,3}(\d{2})[-_.:h]?(\d{2})[-_.:m]?(\d{2})(?!\d)"
-    r"(?:[.,](\d{3})(?!\d))?(Z(?![A-Za-z]))?"
-)
 
 
 @dataclass(frozen=True)
@@ -268,19 +263,14 @@ def began(name: str, utc_offset: timedelta) -> datetime:
     Raises:
         InputError: it does not.
     """
-    match = _TIME.search(name)
-    try:
-        if match is None:
-            raise ValueError
-        *parts, thousandths, is_utc = match.groups()
-        began = datetime(*(int(part) for part in parts), tzinfo=UTC)  # type: ignore[misc,arg-type]
-        began += timedelta(milliseconds=int(thousandths or 0))
-        return began if is_utc else began - utc_offset
-    except ValueError:
+    found = time_in(PurePath(name).stem)
+    if found is None:
         raise InputError(
             f"the name {name!r} does not say when the file began",
             hint="Let the recorder write the time into it, like 2026-07-01_08-00-00.mp4.",
-        ) from None
+        )
+    began, is_utc = found
+    return began if is_utc else began - utc_offset
 
 
 def _model(client: WibamClient, model: str | None, site: str | None) -> tuple[str, str]:

@@ -8,28 +8,25 @@ from __future__ import annotations
 
 import re
 from collections.abc import Sequence
-from contextlib import suppress
 from dataclasses import dataclass
-from datetime import UTC, datetime
+from itertools import combinations
 from pathlib import PurePath
 
 from wibam_core.errors import UnreadableVideo
+from wibam_core.video.name_times import likely, readings_of, without_times
 
 _GOPRO = re.compile(r"(G[HXSL])(\d{2})(\d{4})")
 _GOPRO_FIRST, _GOPRO_LATER = re.compile(r"(GOPR)(\d{4})"), re.compile(r"(GP)(\d{2})(\d{4})")
-_DATE_TIME = re.compile(
-    r"(?<!\d)((?:19|20)\d{2})[-_.]?(\d{2})[-_.]?(\d{2})[-_.T ]{0,3}(\d{2})[-_.:h]?(\d{2})[-_.:m]?(\d{2})(\d{3})?(?!\d)"
-)
-#: The same with the day, or the month, in front.
-_DAY_FIRST = re.compile(
-    r"(?<!\d)(\d{2})[-_.](\d{2})[-_.]((?:19|20)\d{2})[-_.T ]{1,3}(\d{2})[-_.:h]?(\d{2})[-_.:m]?(\d{2})(\d{3})?(?!\d)"
-)
-#: One of several views of a camera: words, a letter behind the number (dashcams, DJI), the lens (Insta360).
+#: One of several views of a camera, in names whose date and time is replaced by a NUL: words, the lens (Insta360), and
+#: a letter behind a number or the time (dashcams, DJI).
 _VIEW = re.compile(
-    r"(?<![a-z])(front|rear|back|left|right|inside|wide|tele|thermal)(?![a-z])|\d[-_]?[nepm]?([friwtz])$|"
-    r"^(?:vid|lrv)_\d{8}_\d{6}_(\d{2})_\d{3}$",
+    r"(?<![a-z])(?P<word>front|rear|back|left|right|inside|wide|tele|thermal)(?![a-z])|"
+    r"^(?:vid|lrv)_\0_(?P<lens>\d{2})_\d{3}$|"
+    r"((?P<number>\d+)|\0)[-_]?[nepm]?(?P<letter>[friwtz])$",
     re.IGNORECASE,
 )
+#: Views that were recorded together begin so far apart at most, ns.
+_TOGETHER_NS = 2_000_000_000
 
 _CHANNEL = re.compile(r"(?:ch|channel|cam|camera)[ _-]?(\d{1,3})(?!\d)", re.IGNORECASE)
 
@@ -66,15 +63,9 @@ def in_order(names: Sequence[str], begins_ns: Sequence[int | None]) -> list[tupl
         UnreadableVideo: neither tells the order, or they are of several views.
     """
     _check_one_view(names)
-    for read in (_gopro, _dated, _numbered):
-        named = read(names)
-        if named is not None:
-            order = sorted(range(len(names)), key=lambda index: named[index].place)
-            return [(index, named[index]) for index in order]
-    known = [begin for begin in begins_ns if begin is not None]
-    if len(set(known)) == len(names):
-        order = sorted(range(len(names)), key=lambda index: begins_ns[index] or 0)
-        return [(index, Named(names[index], (place,))) for place, index in enumerate(order)]
+    named = _gopro(names) or _dated(names, begins_ns) or _numbered(names) or _made(names, begins_ns)
+    if named is not None:
+        return sorted(enumerate(named), key=lambda one: one[1].place)
     raise UnreadableVideo(
         f"neither names nor times tell the order of {', '.join(names)}",
         hint="Number the names of a camera's files, e.g. north_1.mp4 and north_2.mp4.",
@@ -85,18 +76,25 @@ def _check_one_view(names: Sequence[str]) -> None:
     """Raises:
     UnreadableVideo: names tell several views, which were recorded at the same time and not one after the other.
     """
-    views: dict[str, str] = {}
-    for name in names:
-        stem = PurePath(name).stem
-        match = _VIEW.search(stem)
-        if match is None or not any(letter.isdigit() for letter in stem):
-            return
-        views.setdefault(next(group for group in match.groups() if group).lower(), name)
-    if len(views) > 1:
-        raise UnreadableVideo(
-            f"{' and '.join([*views.values()][:2])} are of different views, which are no parts of one recording",
-            hint="Make each view a camera of its own, with a calibration of its own.",
-        )
+    stems = [PurePath(name).stem for name in names]
+    matches = [_VIEW.search(without_times(stem, "\0")) for stem in stems]
+    found = [match for match in matches if match is not None]
+    if len(found) < len(names) or not all(any(letter.isdigit() for letter in stem) for stem in stems):
+        return
+    views = [(match["word"] or match["lens"] or match["letter"]).lower() for match in found]
+    if len(set(views)) == 1:
+        return
+    readings = readings_of(stems) or []
+    for a, b in combinations(range(len(names)), 2):
+        # A letter alone may mean anything: it is a view where a number or a moment is there twice.
+        clear = not (found[a]["letter"] and found[b]["letter"])
+        numbered = found[a]["number"] is not None and found[a]["number"] == found[b]["number"]
+        at_once = bool(readings) and abs(readings[0][a] - readings[0][b]) <= _TOGETHER_NS
+        if views[a] != views[b] and (clear or numbered or at_once):
+            raise UnreadableVideo(
+                f"{names[a]} and {names[b]} are of different views, which are no parts of one recording",
+                hint="Make each view a camera of its own, with a calibration of its own.",
+            )
 
 
 def _gopro(names: Sequence[str]) -> list[Named] | None:
@@ -128,46 +126,43 @@ def _gopro_name(kind: str, video: int, chapter: int) -> str:
     return f"{kind}{chapter:02d}{video:04d}"
 
 
-def _dated(names: Sequence[str]) -> list[Named] | None:
+def _dated(names: Sequence[str], begins_ns: Sequence[int | None]) -> list[Named] | None:
     """Names with a date and time.
 
     Raises:
-        UnreadableVideo: they also name several channels of a recorder.
+        UnreadableVideo: they also name several channels of a recorder; or day and month cannot be told apart, and
+            nothing else tells the order.
     """
-    named = []
-    for name in names:
-        starts_ns = _starts_ns(PurePath(name).stem)
-        if starts_ns is None:
-            return None
-        named.append(Named(name, (starts_ns,), None, starts_ns))
-    channels = {
-        int(match[1]): name
-        for name in names
-        if (match := _CHANNEL.search(_DAY_FIRST.sub("", _DATE_TIME.sub("", name))))
-    }
+    readings = readings_of([PurePath(name).stem for name in names])
+    if readings is None:
+        return None
+    channels = {int(match[1]): name for name in names if (match := _CHANNEL.search(without_times(name)))}
     if len(channels) > 1:
         raise UnreadableVideo(
             f"{' and '.join([*channels.values()][:2])} are of different channels, which are no parts of one recording",
             hint="Give each camera the files of its own channel alone.",
         )
-    return _distinct(named)
+    times = likely(readings, begins_ns)
+    if times is not None:
+        return _distinct([Named(name, (time,), None, time) for name, time in zip(names, times, strict=True)])
+    orders = {tuple(sorted(range(len(names)), key=lambda index: times[index])) for times in readings}
+    if len(orders) == 1:  # which comes first is certain, and how long after is not
+        return _distinct([Named(name, (time,)) for name, time in zip(names, readings[0], strict=True)])
+    made = _made(names, begins_ns)
+    if made is None:
+        raise UnreadableVideo(
+            f"whether the day or the month comes first in {', '.join(names)} is not clear, and so not their order",
+            hint="Put the year in front, e.g. 2024-12-02 10-00-00.mp4.",
+        )
+    return made
 
 
-def _starts_ns(stem: str) -> int | None:
-    """The date and time in a name, as if it were UTC; of the day and the month the one above 12, else the first, is the
-    day. None without one."""
-    parts: list[int]
-    if match := _DATE_TIME.search(stem):
-        parts = [int(part) for part in match.groups()[:6]]
-    elif match := _DAY_FIRST.search(stem):
-        day, month, year, *time = (int(part) for part in match.groups()[:6])
-        parts = [year, *((day, month) if month > 12 else (month, day)), *time]
-    else:
+def _made(names: Sequence[str], begins_ns: Sequence[int | None]) -> list[Named] | None:
+    """In the order of when the files say that they were made."""
+    known = [begin for begin in begins_ns if begin is not None]
+    if len(known) < len(names):
         return None
-    with suppress(ValueError):
-        time_of = datetime(*parts, tzinfo=UTC)  # type: ignore[misc,arg-type]
-        return round(time_of.timestamp()) * 1_000_000_000 + int(match[7] or 0) * 1_000_000
-    return None
+    return _distinct([Named(name, (begin,)) for name, begin in zip(names, known, strict=True)])
 
 
 def _numbered(names: Sequence[str]) -> list[Named] | None:

@@ -31,6 +31,8 @@ def test_a_name_says_when_a_file_began(name: str) -> None:
 @pytest.mark.parametrize("offset", [NONE, timedelta(hours=2)])
 def test_a_name_in_utc_says_so_and_may_have_thousandths(offset: timedelta) -> None:
     assert began("2026-07-01_08-00-00.250Z.mkv", offset) == datetime(2026, 7, 1, 8, 0, 0, 250_000, tzinfo=UTC)
+    assert began("x_20260701080000250.mkv", offset) == datetime(2026, 7, 1, 8, 0, 0, 250_000, tzinfo=UTC) - offset
+    assert began("2026-07-01_08-00-00.264", offset) == datetime(2026, 7, 1, 8, tzinfo=UTC) - offset
     assert began("2026-07-01T08:00:00Z.mkv", offset) == datetime(2026, 7, 1, 8, tzinfo=UTC)
     assert began("2026-07-01_08-00-00.3gp", offset) == datetime(2026, 7, 1, 8, tzinfo=UTC) - offset
     assert began("2026-07-01_08-00-00Zebra.mkv", offset) == datetime(2026, 7, 1, 8, tzinfo=UTC) - offset

@@ -216,6 +216,8 @@ def test_what_was_assumed_of_a_missing_chapter_is_said(tmp_path: Path) -> None:
         ("2024_0501_100000_001F.MP4", "2024_0501_100300_002F.MP4"),
         ("20240501_100000_NF.mp4", "20240501_100100_EF.mp4"),
         ("VID_20240501_100000_00_001.mp4", "VID_20240501_100000_00_002.mp4"),
+        ("2024-05-01_10-00-00Z.mp4", "2024-05-01_10-05-00R.mp4"),
+        ("2024-05-01T100000Z.mp4", "2024-05-01T100500T.mp4"),
     ],
 )
 def test_names_of_recorders_and_dashcams_tell_the_order(names: tuple[str, str]) -> None:
@@ -223,8 +225,20 @@ def test_names_of_recorders_and_dashcams_tell_the_order(names: tuple[str, str]) 
     assert all(not named.missing_before for _, named in in_order(names, [None, None]))
 
 
-def test_a_name_tells_when_a_file_begins_to_a_millisecond() -> None:
-    [(_, first), (_, second)] = in_order(["01_20240501100000123.mp4", "01_20240501101000456.mp4"], [None, None])
+def test_letters_behind_different_numbers_are_no_views() -> None:
+    assert [index for index, _ in in_order(["a_02t.mp4", "a_01f.mp4"], [20, 10])] == [1, 0]
+
+
+@pytest.mark.parametrize(
+    "names",
+    [
+        ("01_20240501100000123.mp4", "01_20240501101000456.mp4"),
+        ("2024-05-01_10-00-00.123Z.mkv", "2024-05-01_10-10-00.456Z.mkv"),
+        ("20240501T100000,123.mp4", "20240501T101000,456.mp4"),
+    ],
+)
+def test_a_name_tells_when_a_file_begins_to_a_millisecond(names: tuple[str, str]) -> None:
+    [(_, first), (_, second)] = in_order(names, [None, None])
     assert first.starts_ns is not None and second.starts_ns is not None
     assert second.starts_ns - first.starts_ns == 600_333_000_000
 
@@ -235,6 +249,8 @@ def test_a_name_tells_when_a_file_begins_to_a_millisecond() -> None:
         ("2024-05-01_10-00-00-front.mp4", "2024-05-01_10-01-00-back.mp4"),
         ("2024_0501_100000_001F.MP4", "2024_0501_100001_001R.MP4"),
         ("20240501_100000_NF.mp4", "20240501_100000_NR.mp4"),
+        ("2024_0501_100000_001F.MP4", "2024_0501_100001_002R.MP4"),
+        ("a_01f.mp4", "a_01r.mp4"),
         ("DJI_20240501100000_0001_W.MP4", "DJI_20240501100001_0001_T.MP4"),
         ("VID_20240501_100000_00_001.insv", "VID_20240501_100000_10_001.insv"),
     ],
@@ -243,3 +259,57 @@ def test_views_that_were_recorded_together_are_not_joined(names: tuple[str, str]
     with pytest.raises(UnreadableVideo, match="different views") as refused:
         in_order(names, [None, None])
     assert "camera of its own" in refused.value.hint
+
+
+#: A day in ns, and the time of a file's being made that comes without one.
+DAY_NS = 86_400_000_000_000
+UNMADE = (None, None)
+
+
+@pytest.mark.parametrize(
+    ("first", "second", "made_ns", "apart_s"),
+    [
+        ("02-12-2024 23-59-58", "02-13-2024 00-00-00", UNMADE, 2),  # 13 is no month, so that 12 is a day
+        ("01-31-2024 23-59-58", "02-01-2024 00-00-00", UNMADE, 2),
+        ("31-01-2024 23-59-58", "01-02-2024 00-00-00", UNMADE, 2),
+        ("12-02-2024 23-59-58", "13-02-2024 00-00-00", UNMADE, 2),
+        ("02-03-2024 23-59-58", "02-04-2024 00-00-00", UNMADE, 2),  # follow one another if the month is first
+        ("03-02-2024 23-59-58", "04-02-2024 00-00-00", UNMADE, 2),  # and if the day is
+        ("02-03-2024 10-00-00", "02-03-2024 10-10-00", UNMADE, 600),  # either way
+        ("01-05-2024 10-00-00", "01-06-2024 10-00-00", (0, DAY_NS), 86_400),
+        ("01-05-2024 10-00-00", "01-06-2024 10-00-00", (0, 31 * DAY_NS), 31 * 86_400),
+        ("01-02-2024 10-00-00", "02-01-2024 10-00-00", (7, 30 * DAY_NS), 30 * 86_400),
+        ("02-01-2024 10-00-00", "01-02-2024 10-00-00", (7, 30 * DAY_NS), 30 * 86_400),
+        ("2024-02-03 23-59-58", "02-04-2024 00-00-00", UNMADE, 2),
+    ],
+)
+def test_one_rule_of_day_and_month_holds_for_all_names(
+    first: str, second: str, made_ns: tuple[int | None, int | None], apart_s: int
+) -> None:
+    for names, made in (((first, second), made_ns), ((second, first), made_ns[::-1])):
+        ordered = [named for _, named in in_order([f"cam {name}.mp4" for name in names], made)]
+        assert [named.name for named in ordered] == [f"cam {first}.mp4", f"cam {second}.mp4"]
+        starts = [named.starts_ns for named in ordered]
+        assert starts[0] is not None and starts[1] is not None
+        assert starts[1] - starts[0] == apart_s * 1_000_000_000
+
+
+@pytest.mark.parametrize(
+    "names",
+    [("31-05-2024 10-00-00.mp4", "05-30-2024 10-00-00.mp4"), ("01-02-2024 10-00-00.mp4", "02-01-2024 10-00-00.mp4")],
+)
+def test_dates_of_an_unclear_order_are_refused_where_no_file_says_when_it_was_made(names: tuple[str, str]) -> None:
+    with pytest.raises(UnreadableVideo, match="day or the month") as refused:
+        in_order(names, [None, None])
+    assert "year in front" in refused.value.hint
+    assert [index for index, _ in in_order(names, [20, 10])] == [1, 0]
+
+
+def test_how_long_a_camera_was_off_is_not_told_by_dates_that_may_be_read_in_two_ways(tmp_path: Path) -> None:
+    """A day or a month: the order is certain, the time between is not."""
+    info, times_ns, numbers = read(
+        write(tmp_path / "01-06-2024 10-00-00.mp4", range(24, 48)),
+        write(tmp_path / "01-05-2024 10-00-00.mp4", range(24)),
+    )
+    assert_one_timeline(times_ns, numbers, 48)
+    assert codes(info) == ["gap_unknown"]
