@@ -17,7 +17,7 @@ from wibam_core.calibration.rig import solve_camera
 from wibam_core.config import CalibrateConfig
 from wibam_core.errors import InputError
 from wibam_core.site import Site
-from wibam_core.stages.recording_files import find_recording
+from wibam_core.stages.recording_files import check_elsewhere, find_recording
 from wibam_core.text import decode_text
 from wibam_core.video.probe import probe
 
@@ -51,6 +51,7 @@ def calibration(
     )
     size_px = size_px or next((one.intrinsics.size_px for one in found if one.intrinsics is not None), None)
     if size_px is None:
+        check_elsewhere(site_dir / "recordings", camera)
         raise InputError(
             f"the size of camera {camera}'s pictures is not known",
             hint=f"Put its recording into {site_dir / 'recordings'}, named {camera} with any ending.",

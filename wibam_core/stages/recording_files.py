@@ -28,8 +28,7 @@ def find_recording(folder: Path, camera_id: str, listed: Sequence[str] = ()) -> 
     count, or those that the site lists.
 
     Raises:
-        SiteFileError: there are several files, and no folder or list says that they belong together; or there is none
-            where it should lie, but one deeper or under the id in other letters, or pictures alone.
+        SiteFileError: there are several files, and no folder or list says that they belong together.
         MissingCamera: a file that the site lists is not there.
     """
     own = folder / camera_id
@@ -45,9 +44,42 @@ def find_recording(folder: Path, camera_id: str, listed: Sequence[str] = ()) -> 
             return Recording.at(*inside)
     if len(single) > 1:
         raise _ambiguous(camera_id, single)
-    if not single:
-        _check_elsewhere(folder, camera_id)
     return Recording.at(single[0]) if single else None
+
+
+def check_elsewhere(folder: Path, camera_id: str) -> None:
+    """Say where the recording lies that a camera needs and has none of by `find_recording`.
+
+    Raises:
+        SiteFileError: one lies deeper or under the id in other letters, or there are pictures alone.
+    """
+    own = folder / camera_id
+    deeper = sorted(path for path in own.glob("*/**/*") if path.is_file() and not _is_beside(path))
+    if deeper:
+        raise SiteFileError(
+            f"camera {camera_id} has no recording in {own.name}/, but deeper: {deeper[0].relative_to(own)}",
+            hint=f"Move its files into recordings/{camera_id}/ itself.",
+            camera=camera_id,
+        )
+    others = sorted(folder.iterdir()) if folder.is_dir() else []
+    for path in others:
+        named = path.name.split(".")[0]
+        if named != camera_id and named.strip().lower() == camera_id.lower() and not _is_beside(path):
+            raise SiteFileError(
+                f"camera {camera_id} has no recording, but there is {path.name!r}",
+                hint=f"Call it {camera_id}{path.name[len(named) :]}: letter case and blanks count.",
+                camera=camera_id,
+            )
+    inside = sorted(own.iterdir()) if own.is_dir() else []
+    pictures = [path for path in (*inside, *folder.glob(f"{camera_id}.*")) if path.suffix.lower() in _PICTURES]
+    if pictures:
+        raise SiteFileError(
+            f"camera {camera_id} has no recording, but pictures: {pictures[0].name}"
+            + (f" and {len(pictures) - 1} more" if len(pictures) > 1 else ""),
+            hint="Make one video file of them, with the time of each: pictures by themselves do not say when they were "
+            "taken.",
+            camera=camera_id,
+        )
 
 
 def unclaimed(folder: Path, cameras: Sequence[SiteCamera]) -> tuple[str, ...]:
@@ -101,39 +133,6 @@ def _listed(folder: Path, camera_id: str, name: str) -> RecordingFile:
         camera=camera_id,
         file=name,
     )
-
-
-def _check_elsewhere(folder: Path, camera_id: str) -> None:
-    """Raises:
-    SiteFileError: a camera without a recording has one where nobody looks.
-    """
-    own = folder / camera_id
-    deeper = sorted(path for path in own.glob("*/**/*") if path.is_file() and not _is_beside(path))
-    if deeper:
-        raise SiteFileError(
-            f"camera {camera_id} has no recording in {own.name}/, but deeper: {deeper[0].relative_to(own)}",
-            hint=f"Move its files into recordings/{camera_id}/ itself.",
-            camera=camera_id,
-        )
-    others = sorted(folder.iterdir()) if folder.is_dir() else []
-    inside = sorted(own.iterdir()) if own.is_dir() else []
-    pictures = [path for path in (*inside, *folder.glob(f"{camera_id}.*")) if path.suffix.lower() in _PICTURES]
-    if pictures:
-        raise SiteFileError(
-            f"camera {camera_id} has no recording, but pictures: {pictures[0].name}"
-            + (f" and {len(pictures) - 1} more" if len(pictures) > 1 else ""),
-            hint="Make one video file of them, with the time of each: pictures by themselves do not say when they were "
-            "taken.",
-            camera=camera_id,
-        )
-    for path in others:
-        named = path.name.split(".")[0]
-        if named != camera_id and named.strip().lower() == camera_id.lower() and not _is_beside(path):
-            raise SiteFileError(
-                f"camera {camera_id} has no recording, but there is {path.name!r}",
-                hint=f"Call it {camera_id}{path.name[len(named) :]}: letter case and blanks count.",
-                camera=camera_id,
-            )
 
 
 def _ambiguous(camera_id: str, paths: list[Path]) -> SiteFileError:

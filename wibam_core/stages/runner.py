@@ -62,6 +62,7 @@ class SiteFolder:
             if recording is not None:
                 recordings[camera.id] = recording
             elif needed:
+                recording_files.check_elsewhere(folder / "recordings", camera.id)
                 raise MissingCamera(f"there is no recording of camera {camera.id}", camera=camera.id)
         assets = {
             asset.name: folder / file

@@ -7,7 +7,9 @@ from pathlib import Path
 import pytest
 
 from tests.builders import corner_rig, site_of
+from wibam_core.artifacts.access import MANIFEST
 from wibam_core.errors import MissingCamera, SiteFileError
+from wibam_core.stages.graph import STAGES
 from wibam_core.stages.recording_files import digest_of
 from wibam_core.stages.runner import SiteFolder
 
@@ -81,6 +83,21 @@ def test_a_recording_where_nobody_looks_is_named(tmp_path: Path, name: str, word
     with pytest.raises(SiteFileError, match=re.escape(words)) as refused:
         folder_with(tmp_path, "cam1.mp4", name)
     assert "cam2" in refused.value.hint
+
+
+def test_a_recording_in_other_letters_is_named_before_a_thumbnail(tmp_path: Path) -> None:
+    with pytest.raises(SiteFileError, match=r"there is 'CAM2\.mp4'"):
+        folder_with(tmp_path, "cam1.mp4", "CAM2.mp4", "cam2/thumb.jpg")
+
+
+@pytest.mark.parametrize("name", ["cam2.jpg", "cam2/a.jpg", "CAM2.mp4", "cam2/deeper/a.mp4"])
+def test_what_lies_in_place_of_a_recording_is_no_matter_where_none_is_needed(tmp_path: Path, name: str) -> None:
+    for stage in STAGES.values():
+        folder = tmp_path / "given" / stage.name
+        folder.mkdir(parents=True)
+        for file in (MANIFEST, *(artifact.file for artifact in stage.writes)):
+            (folder / file).touch()
+    assert not folder_with(tmp_path, name).recordings
 
 
 @pytest.mark.parametrize("names", [["a.mp4", "a.mp4"], ["../a.mp4"], ["x\\a.mp4"], [""], [".."]])
