@@ -39,25 +39,26 @@ def write(
     container: str | None = None,
     b_frames: int = 0,
     key_every: int = 24,
+    rate: int = FPS,
     size: tuple[int, int] = (WIDTH, HEIGHT),
     pixels: str = "yuv420p",
     options: Mapping[str, str] | None = None,
     metadata: Mapping[str, str] | None = None,
     prepare: Callable[[av.video.stream.VideoStream], None] = lambda stream: None,
 ) -> Path:
-    """A recording of numbered pictures, `FPS` a second, the first one at 0."""
+    """A recording of numbered pictures, ``rate`` a second, the first one at 0."""
     with av.open(str(path), "w", format=container) as output:
         chosen = {"bf": str(b_frames), "g": str(key_every)}
         if codec == "libx264":
             chosen |= {"preset": "ultrafast", "b-adapt": "0", "crf": "18"}
-        stream = output.add_stream(codec, rate=FPS, options=chosen | dict(options or {}))
+        stream = output.add_stream(codec, rate=rate, options=chosen | dict(options or {}))
         stream.width, stream.height, stream.pix_fmt = *size, pixels
         stream.codec_context.thread_count = 1
         output.metadata.update(metadata or {})
         prepare(stream)
         for shown, number in enumerate(numbers):
             frame = av.VideoFrame.from_ndarray(picture(number, *size), format="bgr24")
-            frame.pts, frame.time_base = shown, Fraction(1, FPS)
+            frame.pts, frame.time_base = shown, Fraction(1, rate)
             output.mux(stream.encode(frame))
         output.mux(stream.encode(None))
     return path

@@ -37,6 +37,15 @@ class SizeChange(Document):
     height_px: int
 
 
+class RateChange(Document):
+    """From when on a recording has another frame rate."""
+
+    time_ns: int
+    fps: float
+    """From then on."""
+    before_fps: float
+
+
 class VideoInfo(Document):
     """A recording, measured from its packets rather than believed from its header."""
 
@@ -101,6 +110,8 @@ class VideoInfo(Document):
     """Width of a stored pixel over its height."""
     size_changes: list[SizeChange] = Field(default_factory=list)
     """Where the size changes midway; all pictures are brought to one size."""
+    rate_changes: list[RateChange] = Field(default_factory=list)
+    """Segments whose frame rate is another than that of the one before, by more than a half."""
     interlaced: bool = False
     """Pictures consist of two fields, which are joined."""
     high_range: bool = False

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 
 from wibam_core.documents.recordings import Segment, VideoInfo
 from wibam_core.documents.warnings import Caution
@@ -25,9 +25,10 @@ def cautions_of(info: VideoInfo) -> list[Caution]:
 
 def _of_frames(info: VideoInfo) -> Iterator[Caution]:
     if info.missing_frames:
+        last = "frame is" if info.missing_frames == 1 else f"{info.missing_frames} frames are"
         yield Caution(
             code="cut_off",
-            message=f"the file was cut off; its last {info.missing_frames} frames are missing",
+            message=f"the file was cut off; its last {last} missing",
             hint="Copy the file from the camera again if what is missing matters; the rest is used.",
             details={"frames": info.missing_frames},
         )
@@ -49,10 +50,10 @@ def _of_frames(info: VideoInfo) -> Iterator[Caution]:
             details={"files": list(info.missing_files)},
         )
     if info.stray_frames:
+        have, are = ("1 frame has", "is") if info.stray_frames == 1 else (f"{info.stray_frames} frames have", "are")
         yield Caution(
             code="stray_stamps",
-            message=f"{info.stray_frames} frames have a time stamp far from those of the frames around, "
-            "and are left out",
+            message=f"{have} a time stamp far from those of the frames around, and {are} left out",
             hint="Nothing need be done about a few; many point to a damaged file or a faulty recorder.",
             details={"frames": info.stray_frames},
         )
@@ -141,6 +142,16 @@ def _of_time(info: VideoInfo) -> Iterator[Caution]:
             hint="Take the recording as the camera made it: after the first stretch, times lack what was cut out.",
             details={"stretches": info.stretches},
         )
+    if info.rate_changes:
+        rate = info.rate_changes[0]
+        yield Caution(
+            code="rate_changes",
+            message=f"from {rate.time_ns / 1e9:.1f} s on it has {rate.fps:.4g} frames a second, and "
+            f"{rate.before_fps:.4g} before{_more(info.rate_changes)}",
+            hint="Check that both parts run at normal speed and show the same section: cameras often cut the picture "
+            "at high rates, and calibration holds for one section alone.",
+            details={"at_s": [each.time_ns / 1e9 for each in info.rate_changes]},
+        )
     captured = info.captured_fps
     if captured is not None and abs(captured / info.fps - 1) > _OTHER_RATE:
         yield Caution(
@@ -162,11 +173,11 @@ def _of_time(info: VideoInfo) -> Iterator[Caution]:
 def _of_pictures(info: VideoInfo) -> Iterator[Caution]:
     if info.size_changes:
         change = info.size_changes[0]
-        more = f", and {len(info.size_changes) - 1} times more" if len(info.size_changes) > 1 else ""
         yield Caution(
             code="size_changes",
             message=f"the picture's size changes to {change.width_px}x{change.height_px} px at "
-            f"{change.time_ns / 1e9:.1f} s{more}; all pictures are brought to {info.width_px}x{info.height_px} px",
+            f"{change.time_ns / 1e9:.1f} s{_more(info.size_changes)}; all pictures are brought to "
+            f"{info.width_px}x{info.height_px} px",
             hint="Check that the picture shows the same section before and after, and that the camera did not zoom.",
             details={"at_s": [each.time_ns / 1e9 for each in info.size_changes]},
         )
@@ -192,6 +203,10 @@ def _of_pictures(info: VideoInfo) -> Iterator[Caution]:
             message="its brightness is coded for high dynamic range, and looks dull to the detectors",
             hint="Let the camera record with standard dynamic range.",
         )
+
+
+def _more(changes: Sequence[object]) -> str:
+    return f", and changes {len(changes) - 1} times more" if len(changes) > 1 else ""
 
 
 def _at(segments: list[Segment]) -> str:

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from wibam_core.documents.recordings import SizeChange, VideoInfo
+from wibam_core.documents.recordings import RateChange, SizeChange, VideoInfo
 from wibam_core.errors import UnreadableVideo
 from wibam_core.video.packets import FilePackets, Look
 from wibam_core.video.picture import Size
@@ -21,6 +21,9 @@ _RATE_TOLERANCE = 0.1
 _MAX_HOURS = 48
 #: Frames a second of a camera over a road; stamps that say less or more are in another unit.
 _SLOWEST_HZ, _FASTEST_HZ = 0.5, 1000.0
+#: Segments whose rates differ by more than this factor were recorded in different modes, and with at least so many
+#: frames a segment tells its rate.
+_OTHER_RATE, _FEWEST_TIMED = 1.5, 10
 #: Pictures whose aspect ratios differ by more than this share show different things.
 _ASPECT_TOLERANCE = 0.01
 #: Programs round the width of stretched pictures differently, to even numbers or multiples of four, px.
@@ -98,6 +101,7 @@ def measure(recording: Path | Recording, size_px: Size | None = None) -> tuple[V
         stored_px=None if first.upright_px == (width, height) else first.upright_px,
         pixel_aspect=float(first.pixel_aspect),
         size_changes=changes,
+        rate_changes=_rate_changes(timeline),
         interlaced=any(look.interlaced for _, look in looks),
         high_range=any(look.high_range for _, look in looks),
         has_clock=all(file.packets.has_clock for file in timeline.files),
@@ -117,6 +121,22 @@ def _missing_s(packets: FilePackets, usual_ns: float) -> float:
 def _looks(timeline: Timeline) -> list[tuple[int, Look]]:
     """What pictures look like, each with about its time, where that changes."""
     return [(_time_near(file, number), look) for file in timeline.files for number, look in file.packets.looks.items()]
+
+
+def _rate_changes(timeline: Timeline) -> list[RateChange]:
+    """Segments whose rate is another than that of the one before; those of a few frames tell none."""
+    changes: list[RateChange] = []
+    before_fps: float | None = None
+    for segment in timeline.segments:
+        begin = int(np.searchsorted(timeline.times_ns, segment.first_ns))
+        end = int(np.searchsorted(timeline.times_ns, segment.last_ns, side="right"))
+        if end - begin < _FEWEST_TIMED:
+            continue
+        fps = 1e9 / _usual_interval_ns(np.diff(timeline.times_ns[begin:end]))
+        if before_fps is not None and max(fps / before_fps, before_fps / fps) > _OTHER_RATE:
+            changes.append(RateChange(time_ns=segment.first_ns, fps=fps, before_fps=before_fps))
+        before_fps = fps
+    return changes
 
 
 def _time_near(file: TimedFile, number: int) -> int:

@@ -313,3 +313,25 @@ def test_how_long_a_camera_was_off_is_not_told_by_dates_that_may_be_read_in_two_
     )
     assert_one_timeline(times_ns, numbers, 48)
     assert codes(info) == ["gap_unknown"]
+
+
+@pytest.mark.parametrize(
+    ("rates", "said"), [((24, 240), [(24, 240)]), ((240, 24), [(240, 24)]), ((24, 24), []), ((24, 30), [])]
+)
+def test_chapters_of_another_frame_rate_are_named(
+    tmp_path: Path, rates: tuple[int, int], said: list[tuple[int, int]]
+) -> None:
+    """Whoever switches a camera to slow motion between two chapters gets another rate, and often another section."""
+    paths = [
+        write(tmp_path / f"GX0{part + 1}0042.MP4", range(30 * part, 30 * part + 30), rate=rate)
+        for part, rate in enumerate(rates)
+    ]
+    info, times_ns, _ = read(*paths)
+    assert [(round(change.before_fps), round(change.fps)) for change in info.rate_changes] == said
+    assert codes(info) == ["rate_changes"] * len(said)
+    assert np.diff(times_ns[:30]).mean() == pytest.approx(1e9 / rates[0], rel=1e-3)
+    assert np.diff(times_ns[30:]).mean() == pytest.approx(1e9 / rates[1], rel=1e-3)
+    for caution in cautions_of(info):
+        assert (
+            f"from {30 / rates[0]:.1f} s on it has {rates[1]} frames a second, and {rates[0]} before" in caution.message
+        )

@@ -31,7 +31,7 @@ function notes(video) {
   return [
     video.missing_frames ? `${video.missing_frames} frames are missing at its end` : "", video.missing_files?.length ? `${video.missing_files.join(", ")} should lie between its files` : "",
     video.variable_rate ? "its rate varies" : "", video.stray_frames ? `${video.stray_frames} stray stamps` : "", video.doubled_frames ? `${video.doubled_frames} frames twice` : "",
-    video.size_changes?.length ? "its size changes" : "", video.interlaced ? "interlaced" : "", video.has_clock === false ? "no times: its nominal rate was taken" : "",
+    video.size_changes?.length ? "its size changes" : "", video.rate_changes?.length ? "its frame rate changes" : "", video.interlaced ? "interlaced" : "", video.has_clock === false ? "no times: its nominal rate was taken" : "",
     video.mirrored ? "mirrored" : "", video.rotation_deg ? `turned by ${video.rotation_deg}°` : "",
   ].filter(Boolean).join("; ");
 }
