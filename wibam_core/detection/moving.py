@@ -86,8 +86,33 @@ class Stillness:
 
         What touches in the image has one box.
         """
-        tones = _tones(image)
-        found = _difference(tones, self.tones)
+        around = self._around(image)
+        left, top, width, height = np.array([cv2.boundingRect(of) for of in around], np.float64).reshape(-1, 4).T
+        # the contour runs through the middles of the outermost pixels
+        area = np.array([cv2.contourArea(of) + cv2.arcLength(of, True) / 2 + 1 for of in around])
+        sound = (area >= _LEAST_PX2) & (np.minimum(width, height) >= _LEAST_SIDE_PX)
+        sound &= area >= _LEAST_FILLED * width * height
+        boxes = np.column_stack([left, top, left + width - 1, top + height - 1])[sound]
+        order = np.lexsort(boxes.T)
+        return np.asarray(resized_px(boxes[order], scale_of(self._shrunk, self.size, 4)))
+
+    def bodies(self, image: Image) -> Image:
+        """(h, w) uint8: 255 where something covers the background of an image (H, W, 3), else 0; shrunk as `tones`."""
+        covered = np.zeros(self.known.shape, np.uint8)
+        cv2.drawContours(covered, self._around(image), -1, 255, cv2.FILLED)
+        return covered
+
+    def shrunk_px(self, boxes: FloatArray) -> FloatArray:
+        """Boxes (N, 4) xyxy, px of the images, in those of `bodies`."""
+        return np.asarray(resized_px(boxes, scale_of(self.size, self._shrunk, 4)))
+
+    @property
+    def _shrunk(self) -> tuple[int, int]:
+        return self.known.shape[1], self.known.shape[0]
+
+    def _around(self, image: Image) -> Sequence[NDArray[np.int32]]:
+        """Outer contours of all that differs from the background, px of the shrunk image."""
+        found = _difference(_tones(image), self.tones)
         mask = cv2.compare(found.edge, self.least.edge, cv2.CMP_GT)
         mask |= cv2.compare(found.light, self.least.light, cv2.CMP_GT)
         mask |= cv2.compare(found.colour, self.least.colour, cv2.CMP_GT)
@@ -97,15 +122,7 @@ class Stillness:
         around, _ = cv2.findContours(
             cv2.morphologyEx(mask, cv2.MORPH_CLOSE, disc), cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_SIMPLE
         )
-        left, top, width, height = np.array([cv2.boundingRect(of) for of in around], np.float64).reshape(-1, 4).T
-        # the contour runs through the middles of the outermost pixels
-        area = np.array([cv2.contourArea(of) + cv2.arcLength(of, True) / 2 + 1 for of in around])
-        sound = (area >= _LEAST_PX2) & (np.minimum(width, height) >= _LEAST_SIDE_PX)
-        sound &= area >= _LEAST_FILLED * width * height
-        boxes = np.column_stack([left, top, left + width - 1, top + height - 1])[sound]
-        order = np.lexsort(boxes.T)
-        shrunk = (tones.shape[1], tones.shape[0])
-        return np.asarray(resized_px(boxes[order], scale_of(shrunk, self.size, 4)))
+        return around
 
 
 def _tones(image: Image) -> Tones:

@@ -44,6 +44,9 @@ class Round(Document):
     """Tracks of the training part that taught the network that found these boxes; none of other sources."""
     taught_fits: int | None = None
     """Their fits: vehicle-instants of the training part."""
+    scenery_left_out: int | None = None
+    """How many of the detector's boxes lie on what never changes, and were left out since other cameras mostly have no
+    box of the same; none of rounds that do not look for what moves."""
     agreement: HeldOutAgreement
 
 

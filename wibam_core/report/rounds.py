@@ -43,8 +43,14 @@ def rounds_text(rounds: Rounds) -> str:
         return ""
     if len(rounds.rounds) == 1:
         return f"Nothing else looked for what the detector overlooked: {rounds.reason}."
+    left_out = sum(one.scenery_left_out or 0 for one in rounds.rounds if one.number <= rounds.kept)
+    scenery = (
+        f" Of the detector's boxes {left_out} lie on what never changes and were left out, since other cameras mostly "
+        "have none of the same."
+    )
     return (
         "What the detector overlooked was looked for by what moves beside the still backgrounds, and by networks that "
         "what several cameras see had taught. Each camera's boxes were compared with vehicles that the others place, "
         f"at instants that neither taught nor test. Round {rounds.kept} is kept: {rounds.reason}."
+        + (scenery if left_out else "")
     )

@@ -3,8 +3,10 @@
 A silhouette is taken for a vehicle where it is as large as one that stands on the ground at its place. It is added
 where the detector has no box of it, and takes the place of a box where it holds that one alone: a detector that
 overlooks much often shows a part of what it finds. One that holds several boxes is several vehicles in a row, whose
-boxes stay. Every silhouette is looked at again beside the still background, as boxes of the bundled detector are. Which
-of these are vehicles, several cameras decide (`rounds.settled`).
+boxes stay. Every silhouette is looked at again beside the still background, as boxes of the bundled detector are.
+
+Boxes of the detector on scenery (`rounds.scenery`) hide nothing of a background, and no silhouette that passes in front
+of them. Which silhouettes, and which boxes on scenery, are vehicles, several cameras decide (`rounds.settled`).
 """
 
 from __future__ import annotations
@@ -14,6 +16,7 @@ from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
 from functools import partial
 from itertools import groupby
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -31,6 +34,7 @@ from wibam_core.geometry.outlines import outlines
 from wibam_core.geometry.pixels import scale_of
 from wibam_core.progress import Progress, silent
 from wibam_core.road_users import BODIES, VULNERABLE, RoadUserClass
+from wibam_core.rounds.scenery import Scenery, ToldApart
 from wibam_core.rounds.seen import SAME_IOU
 from wibam_core.rounds.world import Detected, World
 from wibam_core.scene import Boxes2D, FloatArray, FrameKey
@@ -45,8 +49,12 @@ _YAWS = np.arange(4) * np.pi / 4
 _SAME_INSIDE = 0.6
 
 
-def beside_what_moves(world: World, detected: Detected, progress: Progress = silent) -> dict[FrameKey, Boxes2D]:
-    """The detector's boxes, and silhouettes of vehicles that move, as the module says; new ones have the least score.
+def beside_what_moves(
+    world: World, detected: Detected, progress: Progress = silent
+) -> tuple[dict[FrameKey, Boxes2D], ToldApart]:
+    """The detector's boxes and silhouettes of vehicles that move, as the module says, and the detector's told apart.
+
+    Silhouettes that the detector has no box of have the least score.
 
     Args:
         world: the recording.
@@ -56,51 +64,66 @@ def beside_what_moves(world: World, detected: Detected, progress: Progress = sil
     refiner = EdgeRefiner()
     frames = frames_of(world.instants)
     found: dict[FrameKey, Boxes2D] = {}
+    on_scenery = {frame: np.zeros(len(detected[frame].boxes), dtype=bool) for frame in frames}
     with ThreadPoolExecutor(max_workers=len(os.sched_getaffinity(0))) as pool:
         for (camera_id, block), group in groupby(frames, key=partial(_block, world)):
             of_block = list(group)
             if not world.shown[camera_id].of_block(block):  # no frame shows the background then
                 found |= {frame: detected[frame] for frame in of_block}
                 continue
-            background, stillness = _background(world, camera_id, block, detected)
-            add = partial(_with_silhouettes, world, refiner, background, stillness)
-            found |= zip(of_block, pool.map(add, of_block, map(detected.__getitem__, of_block)), strict=True)
+            still = _Still.of(world, camera_id, block, detected)
+            add = partial(_with_silhouettes, world, refiner, still)
+            own = pool.map(add, of_block, map(detected.__getitem__, of_block))
+            for frame, (boxes, scenery) in zip(of_block, own, strict=True):
+                found[frame], on_scenery[frame] = boxes, scenery
             progress(len(found) / len(frames), f"looking for what moves: {len(found)} of {len(frames)} frames")
-    return seen_once(found, world.rig) if world.rig.views else found
+    told_apart = ToldApart(
+        trusted={frame: detected[frame].where(~rows) for frame, rows in on_scenery.items()},
+        on_scenery={frame: detected[frame].where(rows) for frame, rows in on_scenery.items()},
+    )
+    return (seen_once(found, world.rig) if world.rig.views else found), told_apart
 
 
 def _block(world: World, frame: FrameKey) -> tuple[str, int]:
     return frame.camera_id, world.shown[frame.camera_id].block(frame.local_ns)
 
 
-def _background(world: World, camera_id: str, block: int, detected: Detected) -> tuple[StillBackground, Stillness]:
-    """A camera's view without vehicles, those that the detector overlooks included.
+class _Still(NamedTuple):
+    """What does not move before a camera: its scenery, and its view without vehicles."""
 
-    A first background still has traces of these; what differs from it is left out of the second.
-    """
-    there = [FrameKey(camera_id, local_ns) for local_ns in world.shown[camera_id].of_block(block)]
-    images = [world.store.image_at(*frame) for frame in there]
-    boxes = [
-        world.store.to_stored_px(camera_id, detected[frame].boxes) if frame in detected else np.empty((0, 4))
-        for frame in there
-    ]
-    first = Stillness.of(still_background(images, boxes), images)
-    hidden = [np.concatenate([found, first.silhouettes(image)]) for found, image in zip(boxes, images, strict=True)]
-    background = still_background(images, hidden)
-    return background, Stillness.of(background, images)
+    scenery: Scenery
+    background: StillBackground
+    stillness: Stillness
+
+    @classmethod
+    def of(cls, world: World, camera_id: str, block: int, detected: Detected) -> _Still:
+        """Vehicles that the detector overlooks are left out of the background, too.
+
+        A first background still has traces of these; what differs from it is left out of the second.
+        """
+        there = [FrameKey(camera_id, local_ns) for local_ns in world.shown[camera_id].of_block(block)]
+        images = [world.store.image_at(*frame) for frame in there]
+        scenery = Scenery.of(images)
+        boxes = []
+        for frame, image in zip(there, images, strict=True):
+            found = detected[frame].boxes if frame in detected else np.empty((0, 4))
+            stored = world.store.to_stored_px(camera_id, found)
+            boxes.append(stored[~scenery.holds(image, stored)])
+        first = Stillness.of(still_background(images, boxes), images)
+        hidden = [np.concatenate([found, first.silhouettes(image)]) for found, image in zip(boxes, images, strict=True)]
+        background = still_background(images, hidden)
+        return cls(scenery, background, Stillness.of(background, images))
 
 
 def _with_silhouettes(
-    world: World,
-    refiner: EdgeRefiner,
-    background: StillBackground,
-    stillness: Stillness,
-    frame: FrameKey,
-    known: Boxes2D,
-) -> Boxes2D:
+    world: World, refiner: EdgeRefiner, still: _Still, frame: FrameKey, detected: Boxes2D
+) -> tuple[Boxes2D, NDArray[np.bool_]]:
+    """The detector's boxes of a frame with silhouettes, and which of the detector's (N,) lie on scenery."""
     store, camera = world.store, world.rig[frame.camera_id]
     image: Image = store.image_at(*frame)
-    boxes = store.to_native_px(frame.camera_id, stillness.silhouettes(image))
+    on_scenery = still.scenery.holds(image, store.to_stored_px(frame.camera_id, detected.boxes))
+    known = detected.where(~on_scenery)
+    boxes = store.to_native_px(frame.camera_id, still.stillness.silhouettes(image))
     boxes = boxes[np.flatnonzero(_as_large_as_vehicles(camera, boxes))]
     same = _same(boxes, known.boxes) & ~VULNERABLE[known.classes]  # nobody on foot is as large as a vehicle
     new = np.flatnonzero(~same.any(axis=1))
@@ -110,7 +133,7 @@ def _with_silhouettes(
 
     def looked_at(found: Found, classify: bool) -> Boxes2D:
         stored = found._replace(boxes=store.to_stored_px(frame.camera_id, found.boxes))
-        seen = refiner.refine(image, background, stored, nms_iou=options.nms_iou, classify=classify)
+        seen = refiner.refine(image, still.background, stored, nms_iou=options.nms_iou, classify=classify)
         scale = scale_of(store.size(frame.camera_id), store.native_size(frame.camera_id), 4)
         native, amodal = (store.to_native_px(frame.camera_id, edges) for edges in (seen.boxes, seen.amodal_boxes))
         return Boxes2D(native, seen.scores, seen.classes, amodal, seen.amodal_sd * scale)
@@ -124,9 +147,12 @@ def _with_silhouettes(
         known.where(kept),
         looked_at(of_pairs, classify=options.detector == "bundled"),  # other detectors know more than simulation
         looked_at(of_new, classify=True),
+        detected.where(on_scenery),
     ]
     joined = _joined(parts)
-    return joined.where(non_maximum_suppression(joined.boxes, joined.scores, options.nms_iou))
+    # scenery gives way to all that passes in front of it
+    order = joined.scores - np.repeat([0.0, 0.0, 0.0, 1.0], [len(part.boxes) for part in parts])
+    return joined.where(non_maximum_suppression(joined.boxes, order, options.nms_iou)), on_scenery
 
 
 def _joined(parts: Sequence[Boxes2D]) -> Boxes2D:

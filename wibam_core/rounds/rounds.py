@@ -6,7 +6,8 @@ network. Where that is not enough, a round fits the vehicles that several camera
 training part, and looks for vehicles with it in all frames. What it sees, and what was found before, is looked at
 again beside the still backgrounds and associated (`rounds.settled`). Rounds go on while the agreement between views
 rises (`rounds.agreement`), which is judged at instants and of vehicles that nothing was taught by. What no detector saw
-counts only where another camera confirms it: else the mistakes of a network would teach it.
+counts only where another camera confirms it: else the mistakes of a network would teach it. The same is asked of what a
+detector saw on scenery (`rounds.scenery`).
 """
 
 from __future__ import annotations
@@ -28,6 +29,7 @@ from wibam_core.models.network import Network, predict
 from wibam_core.networks.registry import load_to_train
 from wibam_core.progress import Progress, part, silent
 from wibam_core.rounds.moving import beside_what_moves
+from wibam_core.rounds.scenery import ToldApart, among
 from wibam_core.rounds.seen import beside, outlines_of
 from wibam_core.rounds.settled import Settled, agreement_before_teaching, settled, teaching_fits
 from wibam_core.rounds.world import Detected, World
@@ -69,7 +71,7 @@ def run_rounds(world: World, detected: Detected, progress: Progress = silent) ->
     rounds = [_round(0, "detector", best)]
     kept, reason = 0, "as many rounds as were asked for"
     need = first_agreement(world, best, part(progress, 0.1 * share, 0.2 * share))
-    without_network = detected
+    without_network, of_detector = detected, ToldApart.unasked(detected)
     for number, source in enumerate(sources, 1):
         if need.found is not None and need.found >= options.enough:
             reason = f"cameras have boxes of {need.found:.0%} of the vehicles that the others place, which is enough"
@@ -77,8 +79,9 @@ def run_rounds(world: World, detected: Detected, progress: Progress = silent) ->
         own = part(progress, (number - 0.8) * share, (number + 0.2) * share)
         teaching, finding, fitting = part(own, 0.0, 0.4), part(own, 0.4, 0.85), part(own, 0.85, 1.0)
         taught = None
+        found: Detected
         if source == "motion":
-            found: Detected = beside_what_moves(world, detected, part(own, 0.0, 0.85))
+            found, of_detector = beside_what_moves(world, detected, part(own, 0.0, 0.85))
         elif need.found is None:
             reason = "no vehicle is seen by two cameras beside the one that is judged: agreement cannot be told"
             break
@@ -88,8 +91,9 @@ def run_rounds(world: World, detected: Detected, progress: Progress = silent) ->
                 reason = "no vehicle of the training part is seen by several cameras"
                 break
             found = _found_again(world, without_network, taught.network, finding)
-        again = settled(world, found, fitting, of_detector=detected)
-        rounds.append(_round(number, source, again, taught))
+        again = settled(world, found, fitting, of_detector=of_detector)
+        left_out = _left_out(of_detector.on_scenery, found, again.detected) if source == "motion" else None
+        rounds.append(_round(number, source, again, taught, left_out))
         before, after = best.agreement.an_instant, again.agreement.an_instant
         rises = again.agreement.found is not None and after >= (1 + options.least_gain) * before
         if again.agreement.found is not None and after >= before:
@@ -193,7 +197,18 @@ def _unrefined(found: Found) -> Boxes2D:
     return Boxes2D(found.boxes, found.scores, found.classes, unknown, unknown)
 
 
-def _round(number: int, source: Source, state: Settled, taught: _Taught | None = None) -> Round:
+def _left_out(on_scenery: Detected, before: Detected, after: Detected) -> int:
+    """How many boxes on scenery were there before, and are not after other cameras were asked."""
+
+    def there(found: Detected) -> int:
+        return sum(int(among(of.boxes, found[frame].boxes).sum()) for frame, of in on_scenery.items())
+
+    return there(before) - there(after)
+
+
+def _round(
+    number: int, source: Source, state: Settled, taught: _Taught | None = None, left_out: int | None = None
+) -> Round:
     boxes: dict[str, list[int]] = {}
     views: Counter[int] = Counter()
     for instant in state.before:
@@ -208,5 +223,6 @@ def _round(number: int, source: Source, state: Settled, taught: _Taught | None =
         views_a_vehicle=sum(n * of for n, of in views.items()) / views.total() if views else None,
         taught_vehicles=None if taught is None else taught.vehicles,
         taught_fits=None if taught is None else taught.fits,
+        scenery_left_out=left_out,
         agreement=state.agreement,
     )

@@ -24,6 +24,7 @@ from wibam_core.lifting.lift import lift
 from wibam_core.progress import Progress, part, silent
 from wibam_core.rounds.agreement import held_out_agreement
 from wibam_core.rounds.broken import broken_tracks
+from wibam_core.rounds.scenery import ToldApart, among
 from wibam_core.rounds.seen import SAME_IOU
 from wibam_core.rounds.world import Detected, World
 from wibam_core.scene import AnnotatedInstant, Boxes2D, FrameKey, FrameSet, Vehicles3D
@@ -31,6 +32,8 @@ from wibam_core.training.teachable import without
 
 #: A vehicle is confirmed by other cameras that see it together at so many instants.
 _CONFIRMING_INSTANTS = 2
+#: What lies on scenery is one that stands there if other cameras see it, too, at this share of the instants.
+_CONFIRMING_SHARE = 0.5
 
 
 @dataclass(frozen=True, eq=False)
@@ -51,7 +54,7 @@ class Settled:
 
 
 def settled(
-    world: World, detected: Detected, progress: Progress = silent, of_detector: Detected | None = None
+    world: World, detected: Detected, progress: Progress = silent, of_detector: ToldApart | None = None
 ) -> Settled:
     """Associate, split, and see how well views agree.
 
@@ -59,7 +62,8 @@ def settled(
         world: the recording.
         detected: the boxes of all frames.
         progress: told now and then.
-        of_detector: what the detector found; of what is not among it, only what several cameras see is kept.
+        of_detector: what the detector found; of what is not among it, and of what lies on scenery, only what several
+            cameras see is kept.
 
     Raises:
         TooFewInstants: the footage is too short to be split.
@@ -129,10 +133,12 @@ def _associated(
 def _confirmed(
     frames: Sequence[FrameSet],
     instants: Sequence[AnnotatedInstant],
-    of_detector: Detected,
+    of_detector: ToldApart,
     kept: dict[FrameKey, Boxes2D],
 ) -> list[AnnotatedInstant]:
     """Without the boxes that the detector has none for, of vehicles that never two cameras saw at once.
+
+    What lies on scenery needs more: boxes on the same scenery meet now and then, those of who stands there mostly do.
 
     Args:
         frames: of each instant.
@@ -140,22 +146,28 @@ def _confirmed(
         of_detector: what the detector found.
         kept: all boxes of the frames; those that are dropped are taken from it.
     """
-    together: Counter[int] = Counter(
-        vehicle.track_id for instant in instants for vehicle in instant.vehicles if len(vehicle.views) > 1
-    )
+    together: Counter[int] = Counter()
+    seen_at: Counter[int] = Counter()
+    for instant in instants:
+        seen_at.update(vehicle.track_id for vehicle in instant.vehicles)
+        together.update(vehicle.track_id for vehicle in instant.vehicles if len(vehicle.views) > 1)
     left = []
     for instant, of in zip(instants, frames, strict=True):
-        confirmed = {camera_id: np.zeros(len(seen), dtype=bool) for camera_id, seen in instant.detections.items()}
+        confirmed, mostly = (
+            {camera_id: np.zeros(len(seen), dtype=bool) for camera_id, seen in instant.detections.items()}
+            for _ in range(2)
+        )
         for vehicle in instant.vehicles:
-            several = len(vehicle.views) > 1
-            if several or (vehicle.track_id >= 0 and together[vehicle.track_id] >= _CONFIRMING_INSTANTS):
-                for camera_id, row in vehicle.views.items():
-                    confirmed[camera_id][row] = True
+            track, several = vehicle.track_id, len(vehicle.views) > 1
+            for camera_id, row in vehicle.views.items():
+                confirmed[camera_id][row] = several or (track >= 0 and together[track] >= _CONFIRMING_INSTANTS)
+                mostly[camera_id][row] = track >= 0 and together[track] >= _CONFIRMING_SHARE * seen_at[track]
         out = {}
         for camera_id, seen in instant.detections.items():
             frame = frame_of(of, camera_id)
-            known = image_iou(seen.boxes, of_detector[frame].boxes).max(axis=1, initial=0.0) > SAME_IOU
-            out[camera_id] = ~(confirmed[camera_id] | known)
+            known = image_iou(seen.boxes, of_detector.trusted[frame].boxes).max(axis=1, initial=0.0) > SAME_IOU
+            on_scenery = among(seen.boxes, of_detector.on_scenery[frame].boxes)
+            out[camera_id] = ~known & ~np.where(on_scenery, mostly[camera_id], confirmed[camera_id])
             kept[frame] = kept[frame].where(~out[camera_id])
         left.append(without(instant, out))
     return left

@@ -62,7 +62,7 @@ def recorded(folder: Path, size_m: tuple[float, float, float]) -> tuple[World, d
 def test_a_vehicle_that_no_detector_found_is_found(tmp_path: Path) -> None:
     world, boxes = recorded(tmp_path, (4.4, 1.8, 1.5))
     frames = frames_of(world.instants)
-    found = beside_what_moves(world, dict.fromkeys(frames, NOTHING))
+    found, _ = beside_what_moves(world, dict.fromkeys(frames, NOTHING))
     assert list(found) == frames
     there = [frame for frame in frames if len(boxes[frame])]
     overlaps = [image_iou(found[frame].boxes, boxes[frame]).max(initial=0.0) for frame in there]
@@ -75,7 +75,7 @@ def test_a_vehicle_that_no_detector_found_is_found(tmp_path: Path) -> None:
 @pytest.mark.parametrize("size_m", [(0.5, 0.5, 0.6), (12.0, 12.0, 9.0)], ids=["dog", "house"])
 def test_what_is_no_vehicle_by_its_size_is_not(tmp_path: Path, size_m: tuple[float, float, float]) -> None:
     world, _ = recorded(tmp_path, size_m)
-    found = beside_what_moves(world, dict.fromkeys(frames_of(world.instants), NOTHING))
+    found, _ = beside_what_moves(world, dict.fromkeys(frames_of(world.instants), NOTHING))
     assert sum(len(of.boxes) for of in found.values()) <= 2
 
 
@@ -92,7 +92,7 @@ def test_a_silhouette_takes_the_place_of_the_one_box_in_it(tmp_path: Path) -> No
         )
         for frame, box in boxes.items()
     }
-    found = beside_what_moves(world, known)
+    found, _ = beside_what_moves(world, known)
     there = [frame for frame in found if len(boxes[frame])]
     assert all(len(found[frame].boxes) == 1 and found[frame].scores[0] == 0.7 for frame in there)
     overlaps = [image_iou(found[frame].boxes, boxes[frame]).max() for frame in there]
@@ -106,7 +106,7 @@ def test_nobody_on_foot_becomes_a_vehicle(tmp_path: Path) -> None:
         left_fifth = box * [1.0, 1.0, 0.2, 1.0] + np.roll(box, 2, axis=1) * [0.0, 0.0, 0.8, 0.0]
         unknown = np.full_like(box, np.nan)
         known[frame] = Boxes2D(left_fifth, np.full(len(box), 0.7), np.full(len(box), foot), unknown, unknown)
-    found = beside_what_moves(world, known)
+    found, _ = beside_what_moves(world, known)
     for frame, of in known.items():
         np.testing.assert_array_equal(found[frame].boxes[found[frame].classes == foot], of.boxes)
 
@@ -119,6 +119,24 @@ def test_the_boxes_of_several_vehicles_in_a_row_stay(tmp_path: Path) -> None:
         middle = (x0 + x1) / 2
         halves = np.concatenate([np.stack([x0, y0, middle, y1], 1), np.stack([middle, y0, x1, y1], 1)])
         known[frame] = Boxes2D(halves, np.full(len(halves), 0.7), np.full(len(halves), 1), halves, halves)
-    found = beside_what_moves(world, known)
+    found, _ = beside_what_moves(world, known)
     for frame, of in found.items():
         np.testing.assert_array_equal(np.sort(of.boxes, axis=0), np.sort(known[frame].boxes, axis=0))
+
+
+def test_boxes_on_what_never_changes_are_told_apart_and_hide_nothing_that_passes(tmp_path: Path) -> None:
+    """In every frame a detector has a box beside the road, one on it, and one around all of the view."""
+    world, boxes = recorded(tmp_path, (4.4, 1.8, 1.5))
+    there = [frame for frame in boxes if len(boxes[frame])]
+    on_road = boxes[there[len(there) // 2]][0]
+    always = np.array([[20.0, 20.0, 90.0, 60.0], on_road, [0.0, 0.0, 639.0, 359.0]])
+    known = {f: Boxes2D(always, np.full(3, 0.9), np.ones(3, np.int64), always, always) for f in boxes}
+    found, told_apart = beside_what_moves(world, known)
+    for frame in boxes:
+        np.testing.assert_array_equal(told_apart.on_scenery[frame].boxes, always[[0, 2]])
+        np.testing.assert_array_equal(told_apart.trusted[frame].boxes, always[[1]])  # somebody has been there
+    # without the box on the road, which may be who stood there, nothing hides who passes
+    scenery = {f: of.where(np.array([0, 2])) for f, of in known.items()}
+    found, _ = beside_what_moves(world, scenery)
+    overlaps = [image_iou(found[frame].boxes, boxes[frame]).max(initial=0.0) for frame in there]
+    assert np.mean(np.array(overlaps) > 0.6) > 0.9

@@ -17,6 +17,7 @@ from wibam_core.progress import silent
 from wibam_core.rounds import rounds
 from wibam_core.rounds.agreement import held_out_agreement
 from wibam_core.rounds.rounds import run_rounds
+from wibam_core.rounds.scenery import ToldApart
 from wibam_core.rounds.settled import judging, settled, teaching_fits
 from wibam_core.rounds.world import Detected, Options, World
 from wibam_core.scene import Boxes2D, CameraRig, FrameKey
@@ -48,6 +49,11 @@ def overlooking(detected: Detected, share: float) -> dict[FrameKey, Boxes2D]:
         order = np.argsort(boxes.boxes[:, 3])
         few[frame] = some(boxes, np.sort(order[: round(len(order) * (1 - share))]))
     return few
+
+
+def beside(found: Detected, of_detector: Detected) -> tuple[Detected, ToldApart]:
+    """What moves beside what a detector found, none of it on scenery."""
+    return dict(found), ToldApart.unasked(of_detector)
 
 
 def finding(monkeypatch: pytest.MonkeyPatch, *found: Detected) -> list[int]:
@@ -132,7 +138,7 @@ def test_a_network_is_taught_only_where_what_moves_is_not_enough(
     world = replace(world, options=options(most=1, enough=RoundsConfig().enough, motion=True))
     few = overlooking(detected, 0.3)
     taught = finding(monkeypatch)
-    monkeypatch.setattr(rounds, "beside_what_moves", lambda world, found, progress: dict(detected))
+    monkeypatch.setattr(rounds, "beside_what_moves", lambda world, found, progress: beside(dict(detected), found))
     _, document = run_rounds(world, few)
     assert taught == [] and document.kept == 1 and "which is enough" in document.reason
     assert [one.source for one in document.rounds] == ["detector", "motion"]
@@ -147,7 +153,7 @@ def test_a_network_is_taught_only_where_what_moves_is_not_enough(
 
     taught = finding(monkeypatch)
     monkeypatch.setattr(rounds, "_found_again", found_again)
-    monkeypatch.setattr(rounds, "beside_what_moves", lambda world, found, progress: more)
+    monkeypatch.setattr(rounds, "beside_what_moves", lambda world, found, progress: beside(more, found))
     _, document = run_rounds(replace(world, options=options(most=1, motion=True)), few)
     assert taught == [2] and document.kept == 2
     assert [one.source for one in document.rounds] == ["detector", "motion", "network"]
@@ -160,7 +166,7 @@ def test_what_moves_is_looked_for_where_the_detector_found_nothing(
     world, detected = everything
     nothing = {frame: some(boxes, np.empty(0, np.int64)) for frame, boxes in detected.items()}
     taught = finding(monkeypatch)
-    monkeypatch.setattr(rounds, "beside_what_moves", lambda world, found, progress: dict(detected))
+    monkeypatch.setattr(rounds, "beside_what_moves", lambda world, found, progress: beside(dict(detected), found))
     found, document = run_rounds(replace(world, options=options(enough=0.5, motion=True)), nothing)
     assert taught == [] and document.kept == 1
     assert sum(len(boxes.boxes) for boxes in found.values()) > 100
@@ -173,7 +179,7 @@ def test_what_moves_and_agrees_less_is_not_kept_and_a_network_is_taught_all_the_
     few = overlooking(detected, 0.3)
     worse = {frame: boxes._replace(boxes=boxes.boxes + 12.0) for frame, boxes in few.items()}
     taught = finding(monkeypatch, detected)
-    monkeypatch.setattr(rounds, "beside_what_moves", lambda world, found, progress: worse)
+    monkeypatch.setattr(rounds, "beside_what_moves", lambda world, found, progress: beside(worse, found))
     _, document = run_rounds(replace(world, options=options(most=1, motion=True)), few)
     assert taught == [2] and document.kept == 2 and len(document.rounds) == 3
 
@@ -201,7 +207,7 @@ def test_what_the_test_part_shows_changes_neither_what_teaches_nor_what_judges(
         else boxes
         for frame, boxes in detected.items()
     }
-    one, two = (settled(world, of, of_detector=of) for of in (detected, other))
+    one, two = (settled(world, of, of_detector=ToldApart.unasked(of)) for of in (detected, other))
     assert one.agreement == two.agreement and one.agreement.sightings > 20
     fits = [teaching_fits(world, state) for state in (one, two)]
     assert sum(map(len, fits[0])) > 5
@@ -254,8 +260,29 @@ def test_what_a_network_sees_in_one_camera_alone_is_dropped_and_what_the_detecto
 
     frames = sum(frame.camera_id == "cam1" for frame in detected)
     assert count(haunted) == frames
-    assert count(settled(world, haunted, of_detector=detected).detected) < 0.2 * frames
-    assert count(settled(world, haunted, of_detector=haunted).detected) == frames
+    assert count(settled(world, haunted, of_detector=ToldApart.unasked(detected)).detected) < 0.2 * frames
+    assert count(settled(world, haunted, of_detector=ToldApart.unasked(haunted)).detected) == frames
+    # the same where the detector saw it, but on scenery
+    on_scenery = {f: more if f.camera_id == "cam1" else some(more, np.empty(0, np.int64)) for f in detected}
+    left = settled(world, haunted, of_detector=ToldApart(detected, on_scenery)).detected
+    assert count(left) < 0.1 * frames
+    for frame, boxes in detected.items():
+        assert (left[frame].boxes[:, None] == boxes.boxes).all(axis=-1).any(axis=0).all()
+
+
+def test_what_lies_on_scenery_stays_where_several_cameras_have_it_and_else_goes(
+    everything: tuple[World, dict[FrameKey, Boxes2D]],
+) -> None:
+    world, detected = everything
+    nothing = ToldApart.unasked(detected).on_scenery
+
+    def kept(found: Detected) -> float:
+        left = settled(world, found, of_detector=ToldApart(nothing, found)).detected
+        return sum(len(of.boxes) for of in left.values()) / sum(len(of.boxes) for of in found.values())
+
+    assert 0.8 < kept(detected) < 1.0  # some are seen by one camera alone for most of their way
+    of_one = {frame: boxes if frame.camera_id == "cam1" else nothing[frame] for frame, boxes in detected.items()}
+    assert kept(of_one) == 0.0
 
 
 def test_a_round_teaches_and_looks_again_in_all_frames(tmp_path: Path) -> None:
