@@ -10,12 +10,15 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import dataclass
 
+#: Slices in partitions (2 to 4, of the Extended profile alone) are none here: FFmpeg decodes no picture of them.
 _SLICE, _IDR, _SPS = 1, 5, 7
 _START = b"\x00\x00\x01"
 #: Profiles whose parameter sets tell the format of colour, too (7.3.2.1.1).
 _WITH_COLOUR = (100, 110, 122, 244, 44, 83, 86, 118, 128, 138, 139, 134, 135)
 #: A slice's header up to where its field is told fits into so many bytes.
 _HEADER_BYTES = 24
+#: A parameter set, up to the last of what is read of it, fits into so many, whatever it says.
+_UNIT_BYTES = 4096
 _LONGEST_CODE = 32
 
 
@@ -79,7 +82,7 @@ class H264Packets:
         """Look at the next packet; what is found is in the properties. One that cannot be read changes nothing.
 
         Args:
-            packet: its first bytes at least, with all that comes before its first slice, and that one's header.
+            packet: all of it: what a camera tells beside a picture lies before its first slice, and may be long.
             is_key: the container says that it is whole by itself.
         """
         self._is_second_field = False
@@ -239,22 +242,32 @@ def _slice_of(unit: bytes, parameters: _Parameters) -> _Slice:
 
 
 def _by_start_codes(data: bytes) -> Iterator[bytes]:
-    """Units behind start codes (annex B), each with what follows it: readers stop where they know enough."""
+    """The beginnings of units behind start codes (annex B), but for empty ones; who asks for no more, searches none."""
     at = data.find(_START)
-    while at >= 0 and at + 3 < len(data):
-        following = data.find(_START, at + 3)
-        yield data[at + 3 : following if following >= 0 else len(data)]
-        at = following
+    while at >= 0:
+        unit = data[at + 3 : at + 3 + _UNIT_BYTES]
+        end = unit.find(_START)
+        unit = unit if end < 0 else unit[:end]
+        if unit:
+            yield unit
+        at = data.find(_START, at + 3)
 
 
 def _by_lengths(data: bytes, length_bytes: int) -> Iterator[bytes]:
+    """The beginnings of units behind their lengths, but for empty ones.
+
+    Raises:
+        _NoHeader: the lengths are none: they lead beyond the end.
+    """
     at = 0
     while at + length_bytes < len(data):
         length = int.from_bytes(data[at : at + length_bytes], "big")
         at += length_bytes
         if length:
-            yield data[at : at + length]
+            yield data[at : at + min(length, _UNIT_BYTES)]
         at += length
+    if at > len(data):
+        raise _NoHeader
 
 
 def _of_record(record: bytes) -> Iterator[bytes]:

@@ -44,8 +44,6 @@ _BY_DECODING_ORDER = ("avi", *_NO_CLOCK)
 _SAYING = ("matroska", "flv", "asf")
 #: Containers in which a recorder may begin a new track midway, and whose packets fill the file but for a few bytes.
 _READ_IN_PART = ("mpegts", "mpeg")
-#: Headers of a packet lie within its first bytes.
-_BEGINNING = 16_384
 #: After the last packet that is read, and before the first, may lie what so many packets take.
 _FEW_PACKETS = 8
 #: Sequence headers within a packet: MPEG-1 and 2 (size only), H.264 and H.265 parameter sets behind a start code, and
@@ -293,14 +291,17 @@ class _Reader:
     def _begins_a_frame(self, packet: Packet) -> bool:
         """Whether a packet holds a frame, and not only the second field of one or what decoders are told beside them.
 
-        Those that are smeared are counted, and the stamps of what is no picture are kept.
+        Those that are smeared are counted, and the stamps of what is no picture are kept. A stream without a clock is
+        cut into packets at its pictures: there what is told beside one comes with it, and what is alone had one.
         """
         if self._h264 is None:
             self._is_broken = (self._is_broken and not packet.is_keyframe) or packet.is_corrupt
             self.smeared += self._is_broken
             return True
-        self._h264.read(bytes(memoryview(packet)[:_BEGINNING]), is_key=packet.is_keyframe)
-        if not self._h264.is_picture:
+        self._h264.read(bytes(packet), is_key=packet.is_keyframe)
+        if not self._h264.is_picture and self._no_clock:
+            self.unstamped += 1
+        elif not self._h264.is_picture:
             self._stamps_of_none.append(self._stamp_ns(packet))
         elif not self._h264.is_second_field:
             self.smeared += self._h264.is_smeared
