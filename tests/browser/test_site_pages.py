@@ -240,6 +240,57 @@ def test_points_that_give_no_camera_are_said_and_the_console_stays_silent(signed
     signed_in.open(f"/sites/{site}").get_by_text("cannot be solved").wait_for()
 
 
+def test_a_lens_that_no_camera_has_is_refused_and_the_console_stays_silent(
+    signed_in: Visit, api: LiveApi, camera: Camera
+) -> None:
+    """Numbers that no site can have are told of while they are typed, and are not saved; good ones go on."""
+    site = make_site(signed_in, "impossible lens")
+    page = signed_in.page
+    page.get_by_role("link", name="Calibrate and signals").first.click()
+    page.get_by_text("0 of at least 4 points").wait_for()
+    kind = page.get_by_label("What is known")
+    kind.select_option("pnp")
+    K = camera.K * 3
+    for name, value in (("fx", K[0, 0]), ("fy", K[1, 1]), ("cx", K[0, 2] + 1), ("cy", K[1, 2] + 1)):
+        page.get_by_label(name).fill(f"{value:.2f}")
+    page.locator("summary", has_text="Paste points").click()
+    pixels = camera.project(np.array(WORLD, dtype=float))[0] * 3 + 1  # the size that a camera without a recording has
+    lines = [f"{u:.2f}, {v:.2f}, {x}, {y}, {z}" for (u, v), (x, y, z) in zip(pixels, WORLD, strict=True)]
+    page.get_by_label(re.compile("^Lines of u, v")).fill("\n".join(lines))
+    page.get_by_role("button", name="Take these").click()
+    page.locator("#solution dl").wait_for()
+    focal, distortion = page.get_by_label("fx"), page.get_by_label("Distortion, in OpenCV's order")
+    good = focal.input_value()
+    for field, typed, said, right in (
+        (distortion, "0.1, bent", "The distortion has something that is no number", ""),
+        (distortion, "0 " * 15, "The distortion has 15 numbers", ""),
+        (distortion, "0.1 0.1 0.1", "dist", ""),
+        (focal, "2e11", "200000000000 is too large for a calibration", good),
+        (focal, "0", "focal", good),
+    ):
+        field.fill(typed)
+        field.press("Tab")
+        page.locator("#solution .message.bad", has_text=said).wait_for()
+        if said.startswith("The distortion has 15"):
+            page.get_by_role("button", name="Save").click()
+            page.locator("#problems", has_text=said).wait_for()
+        field.fill(right)
+        field.press("Tab")
+        page.locator("#solution dl").wait_for()
+    kind.select_option("matrices")
+    page.locator("#solution .message.bad", has_text="Ready matrices are given in the site's JSON").wait_for()
+    kind.select_option("pnp")
+    page.locator("#solution dl").wait_for()
+    page.get_by_role("button", name="Save").click()
+    page.get_by_text("saved", exact=True).wait_for()
+    [kept] = [
+        one
+        for one in api.http.get(f"/v1/sites/{site}").json()["site"]["cameras"]
+        if one["calibration"]["correspondences"]
+    ]
+    assert (kept["calibration"]["K"][0][0], kept["calibration"]["dist"]) == (float(good), [])
+
+
 def test_what_a_region_shows_stays_when_another_is_drawn(signed_in: Visit, recordings: list[Path]) -> None:
     make_site(signed_in, "two heads")
     page = signed_in.page

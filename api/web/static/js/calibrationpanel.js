@@ -16,6 +16,20 @@ import { Camera } from "./projection.js";
 
 const SOLVE_AFTER_MS = 180;
 const INTRINSICS = ["fx", "fy", "cx", "cy"];
+/** What a site's document can say, and the service refuses otherwise. */
+const MOST_DISTORTION = 14, LARGEST_XI = 10, LARGEST = 1e10;
+
+/** Why no site can have what was typed: the sentence and what to do, or null. @param {any} calibration as a site's document has it @returns {[string, string]|null} */
+function refusal(calibration) {
+  if (!calibration) return ["ready matrices are given in the site's JSON", "Open the site and choose “Edit as JSON”, or another kind here."];
+  const { K = [], dist = [], xi = 0, correspondences = [] } = calibration;
+  const points = correspondences.flatMap((/** @type {any} */ pair) => [...pair.pixel, ...pair.world]);
+  if (dist.some(Number.isNaN)) return ["the distortion has something that is no number", "Use a point for decimals, and commas or blanks between."];
+  if (dist.length > MOST_DISTORTION) return [`the distortion has ${dist.length} numbers`, `OpenCV's order has ${MOST_DISTORTION} at most.`];
+  if (!(xi >= 0 && xi <= LARGEST_XI)) return [`xi is ${xi}`, `It lies between 0 and ${LARGEST_XI}.`];
+  const tooLarge = [...K.flat(), ...dist, ...points].find((value) => !(Math.abs(value) <= LARGEST));
+  return tooLarge === undefined ? null : [`${tooLarge} is too large for a calibration`, "Pixels and metres are meant; correct the number."];
+}
 
 /** The calibration of one camera while it is edited. */
 export class CalibrationPanel {
@@ -67,6 +81,12 @@ export class CalibrationPanel {
     if (this.kind === "homography" || this.kind === "points") return { ...kept, kind: this.kind, correspondences };
     const { fx, fy, skew, cx, cy, dist, lens, xi } = this.lens;
     return { ...kept, kind: "pnp", K: [[fx, skew, cx], [0, fy, cy], [0, 0, 1]], dist, lens, xi: lens === "omnidirectional" ? xi : 0, correspondences };
+  }
+
+  /** Throws a `Problem` where no site can have what was typed: nobody need ask the service for that. */
+  check() {
+    const refused = refusal(this.document());
+    if (refused) throw new Problem(refused[0], { hint: refused[1] });
   }
 
   /** Fewest points that tell what is unknown. */
@@ -127,6 +147,7 @@ export class CalibrationPanel {
       return;
     }
     try {
+      this.check();
       const answer = await send("POST", "/v1/calibration/solve", { id: this.id, width_px: this.size[0], height_px: this.size[1], calibration: this.document() });
       if (mine !== this.number) return; // a later change has its own answer
       if (answer.problem) throw new Problem(answer.problem.message, answer.problem);

@@ -126,6 +126,7 @@ async function readFiles() {
 
 async function save() {
   if (!panel || !signals) return;
+  panel.check();
   const description = { calibration: panel.document(), signals: signals.document() };
   const left = panel.points.length - panel.complete().length;
   record = await get(`/v1/sites/${siteId}`); // another page may have changed another camera meanwhile
