@@ -14,6 +14,7 @@ from api.problems import documented
 from api.security import CrossSite
 from api.services import ServicesDep
 from api.sessions import PAGE_HEADER, SESSION_COOKIE, SESSION_LIFETIME_S, share_cookie
+from api.web.scripts import imported_scripts
 from wibam_core import __version__
 from wibam_core.adapters.settings import token_digest
 from wibam_core.errors import Unauthorised
@@ -101,7 +102,11 @@ def page(template: str, *, read_only: bool = False, status: int = 200, **facts: 
         facts: what the script is told, as ``data-`` attributes of the body: ids.
     """
     html = _templates.get_template(f"{template}.html.j2").render(
-        page=template, version=__version__, read_only=read_only, facts=facts
+        page=template,
+        version=__version__,
+        read_only=read_only,
+        facts=facts,
+        imported_scripts=imported_scripts,
     )
     return HTMLResponse(html, status, headers=_HEADERS)
 

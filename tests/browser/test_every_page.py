@@ -37,6 +37,10 @@ LARGEST_BYTES = 300_000
 #: By how many px a page is wider than what is seen of it.
 BEYOND = "document.documentElement.scrollWidth - document.documentElement.clientWidth"
 
+#: Scripts that a page has asked for, and those that its head names.
+RUN = "performance.getEntriesByType('resource').map((one) => one.name).filter((name) => name.endsWith('.js'))"
+NAMED = "[...document.querySelectorAll('script[src], link[rel=modulepreload]')].map((one) => one.src ?? one.href)"
+
 
 @pytest.fixture(scope="module")
 def ids(api: LiveApi) -> tuple[str, str]:
@@ -74,6 +78,7 @@ def test_a_page_is_small_silent_and_without_barriers(
         if name == "job":
             tab.page.locator(".graph .stage").first.wait_for()
         assert 1000 < sum(sizes) < LARGEST_BYTES
+        assert set(tab.page.evaluate(RUN)) == set(tab.page.evaluate(NAMED)), "scripts are asked for at once"
         if name == "expired":
             tab.forgive("status of 401")  # which is what the address answers
         for scheme in ("light", "dark"):

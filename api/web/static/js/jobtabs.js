@@ -1,4 +1,5 @@
 // What all pages of one job share: which job, whether it may be changed, and the ways between its pages.
+import { get, Results } from "./api.js";
 import { byId, fill, h } from "./dom.js";
 
 export const jobId = document.body.dataset.job ?? "";
@@ -19,4 +20,14 @@ export function showTabs(job) {
 export function showTitle(job) {
   byId("site-name").textContent = `Site ${job.site_name} · ${job.id}`;
   byId("name").textContent = job.name || job.id;
+}
+
+/** The job, once its title and tabs are shown, and what its stages have made. Both are asked for at once. @returns {Promise<[any, Results]>} */
+export async function openJob() {
+  const made = Results.of(jobId);
+  made.catch(() => {}); // what is wrong with the job is told once, by the other answer
+  const job = await get(`/v1/jobs/${jobId}`);
+  showTitle(job);
+  showTabs(job);
+  return [job, await made];
 }

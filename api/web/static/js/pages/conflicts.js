@@ -1,10 +1,10 @@
 // A job's conflicts: filtered, on the ground, as a scatter, each with what somebody says of it.
-import { get, getAll, request, Results, send } from "../api.js";
+import { getAll, request, send } from "../api.js";
 import { attempt, byId, fill, h, message, say } from "../dom.js";
 import { clock, number, percent, words } from "../format.js";
 import { figure, plot, save, saveCanvases, toCsv } from "../chart.js";
 import { drawHeat } from "../heatmap.js";
-import { jobId, readOnly, showTabs, showTitle } from "../jobtabs.js";
+import { jobId, openJob, readOnly } from "../jobtabs.js";
 import { layMap } from "../maplayer.js";
 import { cameraColour, drawCamera, Plan, token } from "../plan.js";
 import { Camera } from "../projection.js";
@@ -35,7 +35,7 @@ function drawArea(view, context) {
 
 /** What a count of conflicts is to be compared with. @param {any} exposure */
 function exposed(exposure) {
-  return `Conflicts are told of ${number(exposure.area_m2, 0)} m² (dotted on the map), where tracks are good enough to say so. Road users spent ${number(60 * exposure.road_user_hours, 1)} minutes there and went ${number(exposure.road_user_km, 1)} km in ${number(60 * exposure.hours, 1)} minutes of recording.${exposure.conflicts_elsewhere ? ` ${exposure.conflicts_elsewhere} more that look like conflicts outside are not told.` : ""}`;
+  return `Conflicts are told of ${number(exposure.area_m2, 0)} m²${conflicts.length ? " (dotted on the map)" : ""}, where tracks are good enough to say so. Road users spent ${number(60 * exposure.road_user_hours, 1)} minutes there and went ${number(exposure.road_user_km, 1)} km in ${number(60 * exposure.hours, 1)} minutes of recording.${exposure.conflicts_elsewhere ? ` ${exposure.conflicts_elsewhere} more that look like conflicts outside are not told.` : ""}`;
 }
 
 /** @param {any} one */
@@ -96,10 +96,7 @@ function show() {
 }
 
 attempt(async () => {
-  const job = await get(`/v1/jobs/${jobId}`);
-  showTitle(job);
-  showTabs(job);
-  const made = await Results.of(jobId), document_ = await made.answer("conflicts", "/conflicts");
+  const [, made] = await openJob(), document_ = await made.answer("conflicts", "/conflicts");
   if (!document_) { fill(byId("nothing"), message("plain", "conflicts have not been looked for yet", "They appear here once the stage has finished.")); return; }
   conflicts = document_.conflicts;
   if (document_.exposure) { area = document_.exposure.outlines_m; byId("exposure").textContent = exposed(document_.exposure); }

@@ -1,11 +1,11 @@
 // Instant by instant: how boxes were associated, what was fitted to them, and what the network says before and after.
-import { get, Results } from "../api.js";
+import { get } from "../api.js";
 import { attempt, byId, fill, h, message, say } from "../dom.js";
 import { clock, number } from "../format.js";
 import { saveCanvases } from "../chart.js";
 import { FrameCache } from "../frames.js";
 import { drawInstantPlan, drawInstantView } from "../instantdraw.js";
-import { jobId, showTabs, showTitle } from "../jobtabs.js";
+import { jobId, openJob } from "../jobtabs.js";
 import { layMap } from "../maplayer.js";
 import { groundInView, Plan } from "../plan.js";
 import { Camera } from "../projection.js";
@@ -113,10 +113,7 @@ function listen() {
 }
 
 attempt(async () => {
-  const job = await get(`/v1/jobs/${jobId}`);
-  showTitle(job);
-  showTabs(job);
-  const made = await Results.of(jobId), [found, split] = await Promise.all([made.scene(), made.document("split")]);
+  const [, made] = await openJob(), [found, split] = await Promise.all([made.scene(), made.document("split")]);
   if (!found || !split) { fill(byId("nothing"), message("plain", "nothing was associated yet", "Instants can be looked at once the stage “Split in time” has finished.")); return; }
   cameras = found.cameras.map((/** @type {any} */ camera) => new Camera(camera));
   for (const [part, of] of Object.entries(split.times_ns)) for (const time of of) parts.set(time, part);

@@ -1,10 +1,10 @@
 // Labelling: all cameras' frames and the plan at one instant, with cuboids that are the same in all of them.
-import { get, query, Results, send } from "../api.js";
+import { get, query, send } from "../api.js";
 import { ask, attempt, byId, fill, h, message, say } from "../dom.js";
 import { clock, duration } from "../format.js";
 import { FrameCache } from "../frames.js";
 import { FrameView } from "../frameview.js";
-import { jobId, readOnly, showTabs, showTitle } from "../jobtabs.js";
+import { jobId, openJob, readOnly } from "../jobtabs.js";
 import { layMap } from "../maplayer.js";
 import { drawCuboids, drawVehicles, gripInPlan, gripInView } from "../labeldraw.js";
 import { showAgreement } from "../labelagreement.js";
@@ -362,10 +362,7 @@ async function loadList() {
 }
 
 async function start() {
-  const job = await get(`/v1/jobs/${jobId}`);
-  showTitle(job);
-  showTabs(job);
-  const made = await Results.of(jobId);
+  const [, made] = await openJob();
   if (!["rig", "frames", "split", "fits"].every((name) => made.has(name))) { fill(byId("nothing"), message("plain", "there is nothing to label yet", "Instants can be labelled once the stage “Fit 7DoF boxes to all views” has finished.")); return; }
   const [scene, found] = await Promise.all([made.scene(), get(`/v1/jobs/${jobId}/instants`)]);
   stored = found;

@@ -1,10 +1,10 @@
 // The player: the plan and all cameras' frames in step, with what happened drawn in.
-import { get, query, Results } from "../api.js";
+import { query } from "../api.js";
 import { attempt, byId, fill, h, message, say } from "../dom.js";
 import { clock, number, percent, words } from "../format.js";
 import { ClipPanel } from "../clippanel.js";
 import { FrameCache } from "../frames.js";
-import { jobId, showTabs, showTitle } from "../jobtabs.js";
+import { jobId, openJob } from "../jobtabs.js";
 import { layMap } from "../maplayer.js";
 import { groundInView, Plan } from "../plan.js";
 import { colourOf, drawFrame, drawRoad } from "../playerdraw.js";
@@ -243,10 +243,7 @@ function showMarks() {
 }
 
 async function start() {
-  const job = await get(`/v1/jobs/${jobId}`);
-  showTitle(job);
-  showTabs(job);
-  const made = await Results.of(jobId), scene = made.has("tracks") ? await made.scene() : null;
+  const [, made] = await openJob(), scene = made.has("tracks") ? await made.scene() : null;
   if (!scene) { fill(byId("nothing"), message("plain", "there are no tracks yet", "They can be played once the stage “Track” has finished.")); return; }
   cameras = scene.cameras.map((/** @type {any} */ camera) => new Camera(camera));
   classes = new Map(scene.classes.map((/** @type {any} */ one) => [one.name, one.colour]));

@@ -1,10 +1,9 @@
 // What is known of a job's recordings before anything is learned: do they fit together, in time and in space?
-import { get, Results } from "../api.js";
 import { figure } from "../chart.js";
 import { Coverage } from "../coverage.js";
 import { attempt, byId, fill, h, message } from "../dom.js";
 import { duration, number, percent, size } from "../format.js";
-import { jobId, showTabs, showTitle } from "../jobtabs.js";
+import { jobId, openJob } from "../jobtabs.js";
 import { layMap } from "../maplayer.js";
 import { cameraColour, drawCamera, groundInView, Plan } from "../plan.js";
 import { Camera } from "../projection.js";
@@ -105,11 +104,8 @@ function showViews(scene, residuals) {
 }
 
 attempt(async () => {
-  const job = await get(`/v1/jobs/${jobId}`);
-  showTitle(job);
-  showTabs(job);
+  const [job, made] = await openJob();
   showWarnings(job);
-  const made = await Results.of(jobId);
   const [probe, clocks, residuals, scene] = await Promise.all([made.document("probe"), made.document("clocks"), made.document("residuals"), made.scene()]);
   if (probe) { showRecordings(job, probe); showClocks(probe, clocks); }
   byId("known").hidden = !probe;

@@ -2,7 +2,7 @@
 import { get, query, Results } from "../api.js";
 import { attempt, byId, fill, h, message } from "../dom.js";
 import { size } from "../format.js";
-import { jobId, readOnly, showTabs, showTitle } from "../jobtabs.js";
+import { jobId, openJob, readOnly } from "../jobtabs.js";
 import { residualFigure, trajectoryFigure } from "../placefigures.js";
 import { Camera } from "../projection.js";
 import { beforeAfter, cameras, clocks, clockWitnesses, selfConsistency, table } from "../resulttables.js";
@@ -94,10 +94,8 @@ function downloads() {
 }
 
 attempt(async () => {
-  const job = await get(`/v1/jobs/${jobId}`);
-  showTitle(job);
-  showTabs(job);
-  made = await Results.of(jobId);
+  const [job, found] = await openJob();
+  made = found;
   downloads();
   const there = await Promise.all([quality(), training(), sync(), calibration(), data(), amounts(job), trajectories()]);
   if (!there.includes(true)) fill(byId("nothing"), message("plain", "nothing has been made yet", "Figures appear here as stages finish."));
