@@ -6,6 +6,7 @@ one teaches, but the vehicle is the same. So no track judges that may be the res
 
 from __future__ import annotations
 
+from bisect import bisect_left, bisect_right
 from collections.abc import Sequence, Set
 from dataclasses import dataclass
 
@@ -35,9 +36,19 @@ def broken_tracks(
         config: for how long a vehicle may be hidden.
     """
     tracks = _ways(instants)
-    ended = [tracks[track] for track in sorted(teaching) if track in tracks]
-    begun = {track: way for track, way in tracks.items() if track not in teaching and way.times_s[0] > end_ns * 1e-9}
-    return frozenset(track for track, way in begun.items() if any(_goes_on(one, way, config) for one in ended))
+    ended = sorted((_end(way) for track, way in tracks.items() if track in teaching), key=lambda end: end.time_s)
+    ended_s = [end.time_s for end in ended]
+    # a second more, so that rounding decides nothing here
+    longest_s = max(config.max_hidden_moving_s, config.max_hidden_standing_s) + 1.0
+    broken = []
+    for track, way in tracks.items():
+        begun = _beginning(way)
+        if track in teaching or begun.time_s <= end_ns * 1e-9:
+            continue
+        near = slice(bisect_left(ended_s, begun.time_s - longest_s), bisect_right(ended_s, begun.time_s + longest_s))
+        if any(_goes_on(end, begun, config) for end in ended[near]):
+            broken.append(track)
+    return frozenset(broken)
 
 
 @dataclass(frozen=True, eq=False)
@@ -47,12 +58,30 @@ class _Way:
     times_s: FloatArray
     places: FloatArray
 
-    def velocity(self, *, at_end: bool) -> FloatArray:
-        """(2,) over its first or its last second, m/s; 0 of a single sighting."""
-        edge = self.times_s[-1] if at_end else self.times_s[0]
-        own = np.flatnonzero(np.abs(self.times_s - edge) <= _VELOCITY_S)
-        span_s = self.times_s[own[-1]] - self.times_s[own[0]]
-        return (self.places[own[-1]] - self.places[own[0]]) / span_s if span_s > 0 else np.zeros(2)
+
+@dataclass(frozen=True, eq=False)
+class _Edge:
+    """The beginning or the end of a track: when, s, where, (2,) m, and how fast, (2,) m/s."""
+
+    time_s: float
+    place: FloatArray
+    velocity: FloatArray
+
+
+def _beginning(way: _Way) -> _Edge:
+    own = way.times_s - way.times_s[0] <= _VELOCITY_S
+    return _Edge(float(way.times_s[0]), way.places[0], _velocity(way.times_s[own], way.places[own]))
+
+
+def _end(way: _Way) -> _Edge:
+    own = way.times_s[-1] - way.times_s <= _VELOCITY_S
+    return _Edge(float(way.times_s[-1]), way.places[-1], _velocity(way.times_s[own], way.places[own]))
+
+
+def _velocity(times_s: FloatArray, places: FloatArray) -> FloatArray:
+    """(2,) m/s; 0 of a single sighting."""
+    span_s = times_s[-1] - times_s[0]
+    return (places[-1] - places[0]) / span_s if span_s > 0 else np.zeros(2)
 
 
 def _ways(instants: Sequence[AnnotatedInstant]) -> dict[int, _Way]:
@@ -65,14 +94,14 @@ def _ways(instants: Sequence[AnnotatedInstant]) -> dict[int, _Way]:
     return {track: _Way(rows[:, 0], rows[:, 1:]) for track, rows in arrays.items()}
 
 
-def _goes_on(ended: _Way, begun: _Way, config: AssociateConfig) -> bool:
-    hidden_s = abs(float(begun.times_s[0] - ended.times_s[-1]))
-    before, after = ended.velocity(at_end=True), begun.velocity(at_end=False)
-    speed = max(float(np.linalg.norm(before)), float(np.linalg.norm(after)))
+def _goes_on(ended: _Edge, begun: _Edge, config: AssociateConfig) -> bool:
+    hidden_s = abs(begun.time_s - ended.time_s)
+    speed_before, speed_after = float(np.linalg.norm(ended.velocity)), float(np.linalg.norm(begun.velocity))
+    speed = max(speed_before, speed_after)
     stands = speed < _STANDING_MPS
     if hidden_s > (config.max_hidden_standing_s if stands else config.max_hidden_moving_s):
         return False
-    way = begun.places[0] - ended.places[-1]
-    ahead_m = float(way @ before) / max(float(np.linalg.norm(before)), _STANDING_MPS)
+    way = begun.place - ended.place
+    ahead_m = float(way @ ended.velocity) / max(speed_before, _STANDING_MPS)
     reach_m = _UNCERTAIN_M + (0.0 if stands else speed * hidden_s)
     return float(np.linalg.norm(way)) <= reach_m and ahead_m >= -_UNCERTAIN_M

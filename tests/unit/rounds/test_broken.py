@@ -1,5 +1,6 @@
 """Vehicles whose track breaks where the training part ends: their second track must not judge."""
 
+import numpy as np
 import pytest
 
 from wibam_core.config import AssociateConfig
@@ -62,3 +63,45 @@ def test_only_what_teaches_and_only_what_begins_later_matters() -> None:
     earlier: Way = (3.0, 8.0, (30.0, 0.0), (10.0, 0.0))
     assert not broken_tracks(instants({1: LOST, 2: again}), frozenset(), END_NS, AssociateConfig())
     assert not broken_tracks(instants({1: LOST, 2: earlier}), {1}, END_NS, AssociateConfig())
+
+
+def may_be_one(ended: list[tuple[float, float, float]], begun: list[tuple[float, float, float]]) -> bool:
+    """The rule for two tracks of times, s, and places, m; with the usual settings."""
+
+    def velocity(rows: list[tuple[float, float, float]]) -> np.ndarray:
+        (first_s, *start), (last_s, *end) = rows[0], rows[-1]
+        return (np.array(end) - start) / (last_s - first_s) if last_s > first_s else np.zeros(2)
+
+    before = velocity([row for row in ended if ended[-1][0] - row[0] <= 1.0])
+    after = velocity([row for row in begun if row[0] - begun[0][0] <= 1.0])
+    hidden_s = abs(begun[0][0] - ended[-1][0])
+    way = np.array(begun[0][1:]) - ended[-1][1:]
+    speed = max(np.hypot(*before), np.hypot(*after))
+    if hidden_s > (45.0 if speed < 1.0 else 3.0):
+        return False
+    ahead_m = way @ before / max(np.hypot(*before), 1.0)
+    return bool(np.hypot(*way) <= 4.0 + (speed * hidden_s if speed >= 1.0 else 0.0) and ahead_m >= -4.0)
+
+
+@pytest.mark.parametrize("seed", range(8))
+def test_every_pair_of_tracks_counts(seed: int) -> None:
+    random = np.random.default_rng(seed)
+    tracks: dict[int, Way] = {}
+    for track in range(80):
+        first, lasts = random.uniform(0, 10), random.exponential(3)
+        x, y, u, v = (*random.uniform(-20, 20, 2), *(random.normal(0, 5, 2) * random.integers(0, 2)))
+        tracks[track] = (first, first + lasts, (float(x), float(y)), (float(u), float(v)))
+    seen = instants(tracks)
+    rows: dict[int, list[tuple[float, float, float]]] = {}
+    for instant in seen:
+        for vehicle in instant.vehicles:
+            rows.setdefault(vehicle.track_id, []).append((instant.time_ns * 1e-9, vehicle.x_m, vehicle.y_m))
+    teaching = set(range(0, 80, 2))
+    expected = {
+        track
+        for track, own in rows.items()
+        if track not in teaching and own[0][0] > END_NS * 1e-9
+        if any(may_be_one(rows[other], own) for other in teaching & rows.keys())
+    }
+    assert expected
+    assert broken_tracks(seen, teaching, END_NS, AssociateConfig()) == expected
