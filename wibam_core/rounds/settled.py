@@ -1,7 +1,9 @@
 """What follows from the boxes of a round: vehicles, what of them may teach, and how well views agree.
 
-What teaches and what judges comes from the instants before the test part, which are associated by themselves: no box of
-the test part has a say in it. Boxes from there on are only told apart from what no other camera confirms.
+What teaches and what judges comes from the instants before the test part, which are associated by themselves: vehicles
+of the test part are not among it. Its boxes have a say through the cameras alone, which the stage refines once before
+the first round by what the detector found at all instants. Boxes from there on are only told apart from what no other
+camera confirms.
 """
 
 from __future__ import annotations
