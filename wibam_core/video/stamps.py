@@ -29,6 +29,11 @@ _LOOK_AHEAD = 13
 _SET_BACK_SHARE = 0.1
 #: More steps back than this are no reordering.
 _BACKWARDS = 0.6
+#: Where a larger share of all steps goes back, frames are reordered throughout the file.
+_REORDERED_SHARE = 0.02
+#: Frames that are reordered have, once sorted, intervals of so many usual ones. A clock that was set back says times
+#: that lie among earlier ones: half an interval or less from one of them.
+_EVEN = (0.6, 1.6)
 
 
 @dataclass(frozen=True, eq=False)
@@ -93,7 +98,39 @@ def sort_stamps(times_ns: IntArray, usual_ns: int | None = None) -> Sorted:
         usual_ns: the usual interval, where it is known from elsewhere; it must be for N = 1.
     """
     usual_ns = usual_interval_ns(times_ns) if usual_ns is None else usual_ns
-    reordered = int(np.count_nonzero(np.diff(times_ns) < 0)) > 0.02 * (len(times_ns) - 1)
+    if int(np.count_nonzero(np.diff(times_ns) < 0)) > _REORDERED_SHARE * (len(times_ns) - 1):
+        return _sorted(times_ns, usual_ns, reordered=True)
+    order = _shown_order(times_ns, usual_ns)
+    found = _sorted(times_ns[order], usual_ns, reordered=False)
+    place = np.argsort(order)
+    segments = tuple(replace(each, indices=np.sort(order[each.indices])) for each in found.segments)
+    return replace(found, times_ns=found.times_ns[place], kept=found.kept[place], segments=segments)
+
+
+def _shown_order(times_ns: IntArray, usual_ns: int) -> IntArray:
+    """Which of stamps (N,) in decoding order comes when, where frames are reordered here and there.
+
+    An encoder that uses frames predicted from both sides only where they save much writes a few of them in a whole
+    recording. With the frame before which they are shown they fill its stretch of time evenly, and are put in order;
+    stamps that go back for another reason do not, and stay where they are.
+    """
+    order = np.arange(len(times_ns))
+    shown, end = times_ns.copy(), 0
+    for first in np.flatnonzero(np.diff(times_ns) < 0).tolist():
+        if first < end:
+            continue
+        later = np.flatnonzero(times_ns[first + 1 : first + REORDER_FRAMES] >= shown[first])
+        group = slice(first, first + 1 + int(later[0]) if len(later) else first + REORDER_FRAMES)
+        by_time = np.argsort(shown[group], kind="stable")
+        intervals = np.diff(np.append(shown[max(first - 1, 0) : first], shown[group][by_time])) / usual_ns
+        if intervals.min() > _EVEN[0] and intervals.max() < _EVEN[1]:
+            end = group.stop
+            order[group], shown[group] = order[group][by_time], shown[group][by_time]
+    return order
+
+
+def _sorted(times_ns: IntArray, usual_ns: int, *, reordered: bool) -> Sorted:
+    """As `sort_stamps`; frames that are not reordered come in the order shown."""
     back_ns = (REORDER_FRAMES if reordered else 1.5) * usual_ns
     forward_ns = (1.5 * REORDER_FRAMES if reordered else 3) * usual_ns
     steps = _Steps(usual_ns, back_ns, forward_ns)

@@ -63,6 +63,43 @@ def test_a_clock_that_was_set_back_says_that_no_time_was_lost() -> None:
     assert [stretch.jump_before for stretch in found.segments] == [False, True, False]
 
 
+#: Frames shown next, in decoding order: some predicted from both sides, these from others, two groups in a row, many.
+RARELY = [[1, 0], [2, 0, 1], [3, 1, 0, 2], [7, 3, 1, 0, 2, 5, 4, 6], [2, 0, 1, 5, 3, 4], [15, *range(15)]]
+
+
+@pytest.mark.parametrize("group", RARELY, ids=str)
+@pytest.mark.parametrize("at", [0, 200, 464])
+def test_few_reordered_frames_are_no_clock_that_was_set(group: list[int], at: int) -> None:
+    stamps = TRUE_NS.copy()
+    stamps[at : at + len(group)] = TRUE_NS[at + np.array(group)]
+    found = sort_stamps(stamps)
+    np.testing.assert_array_equal(found.times_ns, stamps)
+    assert found.kept.all() and len(found.segments) == 1 and found.stray == 0
+    np.testing.assert_array_equal(found.segments[0].indices, np.arange(480))
+
+
+@pytest.mark.parametrize("back", [2.6, 3.0, 5.3, 8.0, 15.0])
+@pytest.mark.parametrize("jitter", [0.0, 0.03])
+def test_a_clock_set_back_by_less_than_reordering_takes_is_still_found(back: float, jitter: float) -> None:
+    """Frames that come after are put behind those before; elsewhere a few are reordered."""
+    rng = np.random.default_rng(0)
+    true = TRUE_NS + np.rint(rng.uniform(-jitter, jitter, 480) * S / 24).astype(np.int64)
+    order = np.arange(480)
+    order[100:104] = 100 + np.array([3, 1, 0, 2])
+    found = sort_stamps(between(240, 480, -back / 24)(true)[order])
+    assert found.kept.all()
+    assert [(len(stretch.indices), stretch.jump_before) for stretch in found.segments] == [(240, False), (240, True)]
+    assert np.abs(found.times_ns - true[order]).max() <= (2 * jitter + 0.01) * S / 24
+
+
+def test_a_stray_stamp_just_ahead_moves_no_other_frame() -> None:
+    """What it passes over does not fill the time up to it: its own place is empty."""
+    for ahead in (4.0, 5.3, 5.7, 9.5):
+        found = sort_stamps(between(200, 201, ahead / 24)(TRUE_NS))
+        assert np.flatnonzero(~found.kept).tolist() == [200]
+        np.testing.assert_array_equal(found.times_ns[found.kept], TRUE_NS[found.kept])
+
+
 def test_times_without_frames_stay() -> None:
     stamps = between(240, 480, 12.0)(between(360, 480, 15.0)(TRUE_NS))
     found = sort_stamps(stamps)
