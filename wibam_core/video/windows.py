@@ -36,6 +36,10 @@ class Windows:
         if orientation.size((frame.width, frame.height)) != self._size_px:
             whole = to_bgr(frame, orientation, self._size_px, None)
             return [whole[y0:y1, x0:x1] for x0, y0, x1, y1 in self._windows]
+        if frame.width % 2 or frame.height % 2:
+            # FFmpeg's crop leaves out a last column or row that shares its colour with none
+            whole = to_bgr(frame, orientation, None, None)
+            return [whole[y0:y1, x0:x1] for x0, y0, x1, y1 in self._windows]
         layout = (frame.width, frame.height, frame.format.name, orientation)
         if self._layout != layout:
             self._layout = layout

@@ -38,6 +38,18 @@ def test_windows_equal_those_of_whole_pictures(pixels: str, matrix: int, orienta
             np.testing.assert_array_equal(image, whole[y0:y1, x0:x1])
 
 
+@pytest.mark.parametrize("size", [(129, 97), (129, 96), (128, 97)])
+@pytest.mark.parametrize("orientation", [Orientation(), Orientation(True, True, False), Orientation(False, True, True)])
+def test_windows_at_the_edges_of_odd_pictures_are_whole(size: tuple[int, int], orientation: Orientation) -> None:
+    noise = np.random.default_rng(0).integers(0, 255, (size[1], size[0], 3), dtype=np.uint8)
+    frame = av.VideoFrame.from_ndarray(noise, format="bgr24").reformat(format="yuv420p")
+    width, height = orientation.size(size)
+    whole = to_bgr(frame, orientation, None, None)
+    windows = [(0, 0, 12, 20), (width - 20, height - 20, width, height), (width - 1, 0, width, 10)]
+    for (x0, y0, x1, y1), image in zip(windows, Windows(windows, (width, height)).of(frame, orientation), strict=True):
+        np.testing.assert_array_equal(image, whole[y0:y1, x0:x1])
+
+
 def test_pictures_of_other_sizes_are_resized_first() -> None:
     image = np.random.default_rng(0).integers(0, 255, (48, 64, 3), dtype=np.uint8)
     frame = av.VideoFrame.from_ndarray(image, format="bgr24").reformat(format="yuv420p")
