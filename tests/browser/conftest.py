@@ -149,6 +149,13 @@ def signed_in(tab: Visit) -> Visit:
     return tab
 
 
+def drawn(page: Page, canvas: str) -> str:
+    """What a canvas shows, as the address of a picture, once all that was to be drawn is drawn."""
+    page.evaluate("() => new Promise((done) => requestAnimationFrame(() => requestAnimationFrame(done)))")
+    shown: str = page.locator(canvas).evaluate("canvas => canvas.toDataURL()")
+    return shown
+
+
 def serious_findings(page: Page) -> list[str]:
     """What axe-core says of a page that is in the way of somebody who hears it, or uses keys alone."""
     axe = pytest.importorskip("axe_playwright_python.sync_playwright", reason="axe is not installed: make setup").Axe()

@@ -7,7 +7,7 @@ import re
 import numpy as np
 import pytest
 
-from tests.browser.conftest import Visit, serious_findings, visit
+from tests.browser.conftest import Visit, drawn, serious_findings, visit
 from tests.labelled_job import FIT_ERROR, TIMES_NS, labelled_job, later_job
 from tests.service import LiveApi, wait_until
 from tests.site_dataset import boxes_at, tiny_rig
@@ -208,6 +208,25 @@ def test_regions_are_drawn_in_the_plan_and_in_a_view(api: LiveApi, labelling: Vi
     page.get_by_role("button", name="The instant before").click()
     page.get_by_text("not labelled yet").wait_for()
     assert page.locator("#regions li").count() == 2, "what stands before a camera stands there at all instants"
+
+
+def test_no_cross_says_that_enter_clicks_where_it_finishes_the_instant(labelling: Visit) -> None:
+    """In frames that no key moves otherwise, arrow keys move what is enlarged."""
+    page = labelling.page
+    frame = page.get_by_label("Frame of camera north")
+    selector = "canvas[aria-label^='Frame of camera north']"
+    page.wait_for_load_state("networkidle")
+    before = drawn(page, selector)
+    page.keyboard.press("Shift")  # from a key on, the browser marks what has the focus
+    frame.focus()
+    assert frame.evaluate("frame => frame.matches(':focus-visible')")
+    assert drawn(page, selector) == before
+    page.keyboard.press("+")
+    enlarged = drawn(page, selector)
+    page.keyboard.press("ArrowRight")
+    assert drawn(page, selector) != enlarged
+    page.keyboard.press("Enter")
+    page.get_by_role("button", name="Finished").wait_for()
 
 
 def test_what_is_not_saved_is_there_again_and_two_people_see_each_other(

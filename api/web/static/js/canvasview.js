@@ -15,8 +15,8 @@ export class CanvasView {
   constructor(canvas) {
     this.canvas = canvas;
     this.pending = false;
-    /** Called where one clicks, in the view's coordinates. @type {(point: number[], event: PointerEvent|KeyboardEvent) => void} */
-    this.onclick = () => {};
+    /** Called where one clicks, in the view's coordinates; null where clicks do nothing. @type {((point: number[], event: PointerEvent|KeyboardEvent) => void)|null} */
+    this.onclick = null;
     /** Called where a drag may begin; says whether it is taken, or else moves the view. @type {(point: number[], event: PointerEvent) => boolean} */
     this.ondown = () => false;
     /** @type {(point: number[], event: PointerEvent) => void} */
@@ -65,7 +65,7 @@ export class CanvasView {
     const context = this.canvas.getContext("2d");
     if (!context) return;
     this.paint(context);
-    if (this.canvas.matches(":focus-visible")) this.#aim(context);
+    if (this.onclick && this.canvas.matches(":focus-visible")) this.#aim(context);
   }
 
   /** A cross where Enter clicks, for whoever came here by keys. @param {CanvasRenderingContext2D} context */
@@ -126,7 +126,8 @@ export class CanvasView {
 
   /** What keys do. @returns {Object<string, (event: any) => void>} */
   keys() {
-    return { "+": () => this.zoom(this.cursor(), 1.25), "-": () => this.zoom(this.cursor(), 0.8), Enter: (event) => this.onclick(this.fromCanvas(this.cursor()), event) };
+    const click = this.onclick, zooming = { "+": () => this.zoom(this.cursor(), 1.25), "-": () => this.zoom(this.cursor(), 0.8) };
+    return click ? { ...zooming, Enter: (event) => click(this.fromCanvas(this.cursor()), event) } : zooming;
   }
 
   #listen() {
@@ -148,7 +149,7 @@ export class CanvasView {
       else { this.pan(to[0] - from[0], to[1] - from[1]); from = to; }
     });
     canvas.addEventListener("pointerup", (event) => {
-      if (from && !moved && !taken) this.onclick(this.fromCanvas(this.at(event)), event);
+      if (from && !moved && !taken) this.onclick?.(this.fromCanvas(this.at(event)), event);
       if (taken) this.onup(this.fromCanvas(this.at(event)), event);
       from = null;
       taken = false;

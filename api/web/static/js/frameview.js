@@ -51,12 +51,15 @@ export class FrameView extends CanvasView {
     return [this.aimed[0] * this.canvas.width, this.aimed[1] * this.canvas.height];
   }
 
-  /** A whole frame cannot be moved under the cross, as a plan can: the cross moves, and the picture where it meets the border. */
+  /**
+   * A whole frame cannot be moved under the cross, as a plan can: the cross moves, and the picture where it meets the border.
+   * Where there is no cross, since clicks do nothing, the picture moves.
+   */
   keys() {
     const step = (/** @type {any} */ event) => (event.shiftKey ? 0.05 : 0.005);
     const aim = (/** @type {number} */ right, /** @type {number} */ down) => {
       const wanted = [this.aimed[0] + right, this.aimed[1] + down];
-      this.aimed = wanted.map((share) => Math.min(1, Math.max(0, share)));
+      if (this.onclick) this.aimed = wanted.map((share) => Math.min(1, Math.max(0, share)));
       this.pan((this.aimed[0] - wanted[0]) * this.canvas.width, (this.aimed[1] - wanted[1]) * this.canvas.height);
     };
     return {

@@ -175,7 +175,10 @@ async function start() {
     view.redraw();
   };
   view.onup = () => { if (mode() === "signals") { signals?.end(); view.redraw(); } };
-  view.onclick = (pixel) => { if (mode() === "measure") measure(pixel); else if (panel && panel.kind !== "matrices") panel.click(pixel); };
+  const click = (/** @type {number[]} */ pixel) => { if (mode() === "measure") measure(pixel); else if (panel && panel.kind !== "matrices") panel.click(pixel); };
+  const listen = () => { view.onclick = mode() === "signals" ? null : click; view.redraw(); }; // a region is dragged, and typed in its panel
+  listen();
+  for (const choice of document.querySelectorAll("input[name=mode]")) choice.addEventListener("change", listen);
   plan.onclick = (world) => { if (!map.click(world) && panel) panel.place(world); };
   byId("frame").addEventListener("keydown", keys, { capture: true }); // before the view's own: a chosen point is moved, else the cross
   byId("time").addEventListener("input", () => attempt(showFrame));
