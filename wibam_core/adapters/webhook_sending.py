@@ -30,6 +30,7 @@ Network = ipaddress.IPv4Network | ipaddress.IPv6Network
 Address = ipaddress.IPv4Address | ipaddress.IPv6Address
 _LOOK_EVERY_S = 1.0
 #: So many are on their way at once, and about so many of one webhook: a receiver that lets each wait blocks no other.
+#: Where eight or more do so, all others wait for one of them to be given up, after `_TIMEOUT_S` at most.
 _AT_ONCE, _EACH_AT_ONCE = 32, 4
 _MOST_URL = 2000
 #: For the name. Resolvers ask the next name server after 5 s by default.
@@ -140,6 +141,9 @@ class WebhookSender:
     async def _send(self, until_idle: bool) -> int:
         """Send what is due beside what is on its way, so that nobody waits for another's receiver.
 
+        The database, which may let one wait as long as a receiver may, is asked in other threads: whoever has answered
+        meanwhile is heard.
+
         Args:
             until_idle: return once nothing is due nor on its way; else once somebody stops it.
 
@@ -153,13 +157,13 @@ class WebhookSender:
             while until_idle or not self._stop.is_set():
                 busy = [hook for hook, count in Counter(on_its_way.values()).items() if count >= _EACH_AT_ONCE]
                 room = _AT_ONCE - len(on_its_way)
-                due = self._store.take(room, _LEASE_S, _EACH_AT_ONCE, busy) if room else []
+                due = await asyncio.to_thread(self._store.take, room, _LEASE_S, _EACH_AT_ONCE, busy) if room else []
                 sent += len(due)
                 on_its_way |= {asyncio.create_task(self._send_one(http, one)): one.delivery.webhook_id for one in due}
                 if not on_its_way:
                     if until_idle:
                         break
-                    self._stop.wait(_LOOK_EVERY_S)
+                    await asyncio.to_thread(self._stop.wait, _LOOK_EVERY_S)
                     continue
                 done, _ = await asyncio.wait(on_its_way, timeout=_LOOK_EVERY_S, return_when=asyncio.FIRST_COMPLETED)
                 for task in done:
@@ -169,7 +173,8 @@ class WebhookSender:
         return sent
 
     async def _send_one(self, http: httpx.AsyncClient, due: Due) -> None:
-        self._store.note(due, await self._attempt(http, due))
+        attempt = await self._attempt(http, due)
+        await asyncio.to_thread(self._store.note, due, attempt)
 
     async def _attempt(self, http: httpx.AsyncClient, due: Due) -> Attempt:
         began, started = time.time(), time.monotonic()

@@ -20,9 +20,9 @@ from tests.service import wait_until
 from tests.unit.adapters.world import World
 from wibam_core.adapters import webhook_sending
 from wibam_core.adapters.webhook_sending import Refused, WebhookSender, check_url
-from wibam_core.adapters.webhook_store import WebhookStore
+from wibam_core.adapters.webhook_store import Due, WebhookStore
 from wibam_core.errors import Conflict, InputError, NotFound
-from wibam_core.jobs.webhooks import BACKOFF_S, USUAL_EVENTS, DeliveryState, WebhookEvent
+from wibam_core.jobs.webhooks import BACKOFF_S, USUAL_EVENTS, Attempt, DeliveryState, WebhookEvent
 
 HERE = [ipaddress.ip_network("127.0.0.0/8"), ipaddress.ip_network("::1/128")]
 
@@ -141,6 +141,30 @@ class TestSlowReceivers:
             finally:
                 goes_on.set()
                 sender.stop()
+
+    def test_who_answers_while_the_database_is_busy_is_heard(self, world: World, told: Receiver) -> None:
+        """What is noted of one receiver waits until another, which answers only then, has been heard."""
+        begun, other_is_noted = threading.Event(), threading.Event()
+        was_heard: list[bool] = []
+
+        class Busy(WebhookStore):
+            def note(self, due: Due, attempt: Attempt) -> None:
+                if due.delivery.webhook_id == first.id:
+                    begun.set()
+                    was_heard.append(other_is_noted.wait(10.0))
+                super().note(due, attempt)
+                if due.delivery.webhook_id == other.id:
+                    other_is_noted.set()
+
+        store = Busy(world.database, lambda: world.time)
+        with receiver() as later:
+            later.before = lambda: begun.wait(60.0) and None
+            first, other = (store.create(one.url, USUAL_EVENTS)[0] for one in (told, later))
+            for hook in (first, other):
+                store.ping(hook.id)
+            assert WebhookSender(store, HERE).send_due() == 2
+        assert was_heard == [True]
+        assert {only(store, hook.id).state for hook in (first, other)} == {DeliveryState.DELIVERED}
 
     def test_no_more_of_one_webhook_is_taken_at_once_than_asked_for(self, hooks: WebhookStore) -> None:
         first, second = (hooks.create("https://example.org/x", USUAL_EVENTS)[0] for _ in range(2))
