@@ -158,15 +158,17 @@ class GlimpseRequest(BaseModel):
 
 
 class Glimpses:
-    """Looks into recordings, a few at a time.
+    """Looks into recordings, a few at a time. Tables are made one at a time beside them, so that a long one keeps
+    nobody from looking at a frame.
 
     Args:
-        at_once: how many processes may run.
+        at_once: how many processes may run, beside the one that makes a table.
         patience_s: a look that takes longer is given up.
     """
 
     def __init__(self, at_once: int = 2, patience_s: float = 60.0) -> None:
         self._places = threading.BoundedSemaphore(at_once)
+        self._table_place = threading.BoundedSemaphore(1)
         self._patience_s = patience_s
 
     def look(self, request: GlimpseRequest, given: bytes = b"") -> tuple[dict[str, Any], bytes]:
@@ -176,8 +178,11 @@ class Glimpses:
             WibamError: whatever the process says is wrong with the recording.
             ServiceUnavailable: too many looks are under way, or this one takes too long.
         """
-        if not self._places.acquire(timeout=self._patience_s / 2):
-            raise ServiceUnavailable("the service looks into other recordings", hint="Try again in a moment.")
+        is_table = request.look == "conflicts"
+        places = self._table_place if is_table else self._places
+        if not places.acquire(timeout=self._patience_s / 2):
+            busy = "the service makes another table" if is_table else "the service looks into other recordings"
+            raise ServiceUnavailable(busy, hint="Try again in a moment.")
         patience_s = self._patience_s * (_TIMES_SLOWER if request.look in _SLOWER else 1)
         program = [sys.executable, "-P", "-m", "wibam_core.adapters.glimpse", request.model_dump_json()]
         try:
@@ -198,7 +203,7 @@ class Glimpses:
             }.get(request.look, "the file was not read")
             raise ServiceUnavailable(f"{late} within {patience_s:g} s", hint=_TOO_SLOW[request.look]) from error
         finally:
-            self._places.release()
+            places.release()
         head, _, rest = done.stdout.partition(b"\n")
         try:
             answer = json.loads(head)

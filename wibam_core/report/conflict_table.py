@@ -104,10 +104,9 @@ def _words(document: Conflicts, reviews: Mapping[int, tuple[str, str]] | None) -
 
 
 def _cells(one: ConflictRow, reviews: Mapping[int, tuple[str, str]] | None) -> tuple[str, ...]:
-    minutes, seconds = divmod(round(one.time_ns / 1e9, 1), 60)
     cells = (
         str(one.conflict_id),
-        f"{minutes:.0f}:{seconds:04.1f}",
+        _clock(one.time_ns),
         one.type.replace("_", " "),
         ", ".join(f"{name} {track}" for name, track in zip(one.classes, one.track_ids, strict=True)),
         interval(one.ttc_s, one.ttc_interval_s),
@@ -119,6 +118,14 @@ def _cells(one: ConflictRow, reviews: Mapping[int, tuple[str, str]] | None) -> t
     return cells if reviews is None else (*cells, *reviews.get(one.conflict_id, _NOT_REVIEWED))
 
 
+def _clock(time_ns: int) -> str:
+    """Minutes and seconds on the reference camera's clock; what another camera saw earlier has times before 0."""
+    time_s = round(time_ns / 1e9, 1)
+    minutes, seconds = divmod(abs(time_s), 60)
+    sign = "-" if time_s < 0 else ""
+    return f"{sign}{minutes:.0f}:{seconds:04.1f}"
+
+
 def _rows(cells: Sequence[str], columns: Sequence[_Column]) -> Iterator[_Row]:
     """A row, and more where one of its cells has too many lines."""
     lines = [tuple(_wrapped(cell, column.width_mm - 2)) for cell, column in zip(cells, columns, strict=True)]
@@ -127,13 +134,10 @@ def _rows(cells: Sequence[str], columns: Sequence[_Column]) -> Iterator[_Row]:
 
 
 def _wrapped(text: str, width_mm: float) -> list[str]:
-    """Lines that are no wider, of a text that may have lines of its own."""
+    """Lines that are no wider, of a text that may have lines of its own; empty ones are left out."""
     characters = int(width_mm / (_FONT_PT * _MM_PER_POINT * _CHARACTER))
-    return [
-        line
-        for part in text.splitlines() or [""]
-        for line in textwrap.wrap(printable(part.replace("\t", " ")), characters) or [""]
-    ]
+    parts = text.splitlines()
+    return [line for part in parts for line in textwrap.wrap(printable(part.replace("\t", " ")), characters)] or [""]
 
 
 def _height_mm(row: _Row) -> float:

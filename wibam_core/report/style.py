@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import unicodedata
 from typing import Literal
 
 from matplotlib.axes import Axes
@@ -46,8 +47,14 @@ def bgr(colour: str) -> tuple[int, int, int]:
 
 
 def printable(text: str) -> str:
-    """A user's text without control characters."""
-    return "".join(c if c.isprintable() else "\N{REPLACEMENT CHARACTER}" for c in text)
+    """A user's text without control characters; blanks of all widths (Unicode's Zs) are spaces."""
+    return "".join(map(_printable, text))
+
+
+def _printable(character: str) -> str:
+    if unicodedata.category(character) == "Zs":
+        return " "
+    return character if character.isprintable() else "\N{REPLACEMENT CHARACTER}"
 
 
 def plain(text: str) -> str:

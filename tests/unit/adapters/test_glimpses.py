@@ -8,7 +8,9 @@ from pathlib import Path
 
 import pytest
 
-from wibam_core.adapters.glimpses import GlimpseRequest, Glimpses, confined
+from tests.unit.report.documents import conflicts_json
+from wibam_core.adapters.glimpses import GlimpseRequest, Glimpses, ReviewedConflicts, confined
+from wibam_core.documents.conflicts import Conflicts
 from wibam_core.errors import ServiceUnavailable
 
 PRINT_LIMIT = "import resource; print(*resource.getrlimit(resource.RLIMIT_DATA))"
@@ -45,3 +47,12 @@ def test_a_look_that_takes_too_long_says_what_helps(look: str, said: str, hint: 
     with pytest.raises(ServiceUnavailable) as raised:
         Glimpses(patience_s=0.001).look(request)
     assert str(raised.value) == said and hint in raised.value.hint
+
+
+def test_a_table_has_a_place_of_its_own() -> None:
+    """Where there is no place for recordings at all, it is made none the less."""
+    document = Conflicts.model_validate(conflicts_json())
+    table = ReviewedConflicts(heading="Monday", about="", conflicts=document, reviews=None)
+    request = GlimpseRequest(look="conflicts")
+    _, pdf = Glimpses(at_once=0).look(request, table.model_dump_json().encode())
+    assert pdf.startswith(b"%PDF-")

@@ -81,3 +81,27 @@ def test_the_same_table_gives_the_same_bytes_and_control_characters_go() -> None
     one, other = (conflict_table("A\x00\x1b", "b", conflicts(2), {0: ("confirmed", "a\tb\nc\x07")}) for _ in range(2))
     assert one == other
     assert one.startswith(b"%PDF-")
+
+
+def test_times_before_the_reference_cameras_clock_begins_have_a_sign() -> None:
+    def shown(time_ns: int) -> list[str]:
+        [page] = pages_of(conflict_table("Early", "", conflicts(1, time_ns=time_ns), None))
+        return re.findall(r"^-?\d+:\S+$", page, re.MULTILINE)
+
+    assert shown(-1_000_000_000) == ["-0:01.0"]
+    assert shown(-61_540_000_000) == ["-1:01.5"]
+    assert shown(-40_000_000) == ["0:00.0"]
+
+
+def test_notes_of_nothing_but_line_ends_take_no_pages() -> None:
+    reviews = dict.fromkeys(range(30), ("confirmed", "seen" + "\n" * 1990 + "twice"))
+    pages = pages_of(conflict_table("Empty lines", "", conflicts(30), reviews))
+    assert len(pages) == 2
+    assert [sum(page.splitlines().count(word) for page in pages) for word in ("seen", "twice")] == [30, 30]
+
+
+def test_blanks_of_all_widths_are_spaces() -> None:
+    reviews = {0: ("confirmed", "5\u202fm/s,\u00a0then\u3000none")}
+    [page] = pages_of(conflict_table("Two\u00a0words", "", conflicts(1), reviews))
+    assert "5 m/s, then none" in page.splitlines()
+    assert "Two words" in page.splitlines()
