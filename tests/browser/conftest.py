@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import shutil
 import subprocess
 from collections.abc import Callable, Iterator
@@ -17,15 +18,21 @@ from tests.service import TOKEN, LiveApi, live_api, settings_for
 if TYPE_CHECKING:
     from playwright.sync_api import Browser, Page
 
+#: What Chromium and those made of it are called where they are installed.
+BROWSERS = ("chromium", "chromium-browser", "google-chrome")
 #: Where pictures of pages go, for a person to look at.
 SCREENSHOTS = Path(__file__).resolve().parents[2] / "build" / "screenshots"
 
 
 @pytest.fixture(scope="session")
 def chromium() -> str:
-    found = shutil.which("chromium")
+    """The path of the browser. Where there must be one, since `WIBAM_NEEDS_BROWSER` says so, nothing is skipped."""
+    found = next(filter(None, map(shutil.which, BROWSERS)), None)
     if found is None:
-        pytest.skip("there is no chromium here; install it to look at pages (Debian: apt-get install chromium)")
+        missing = "there is no chromium here; install it to look at pages (Debian: apt-get install chromium)"
+        if os.environ.get("WIBAM_NEEDS_BROWSER"):
+            pytest.fail(missing)
+        pytest.skip(missing)
     return found
 
 

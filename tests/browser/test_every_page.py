@@ -34,6 +34,17 @@ PAGES = {
 #: Of those that show nothing of what is stored, nobody need sign in.
 OPEN = ("sign-in", "expired")
 LARGEST_BYTES = 300_000
+#: What pages that are looked at on a phone show once they have loaded what they are about.
+ON_A_PHONE = {
+    "results": "#downloads a",
+    "conflicts": "[aria-label^='Conflict 0']",
+    "jobs": "#jobs a",
+    "job": ".graph .stage",
+    "preflight": "#recordings *",
+    "instants": "#views canvas",
+    "player": "#views canvas",
+    "compare": "#a option",
+}
 #: By how many px a page is wider than what is seen of it.
 BEYOND = "document.documentElement.scrollWidth - document.documentElement.clientWidth"
 
@@ -95,9 +106,10 @@ def test_a_phone_shows_results_without_scrolling_sideways(
     with visit(playwright_browser, api.url) as tab:
         tab.page.set_viewport_size({"width": 390, "height": 800})
         tab.sign_in()
-        for name in ("results", "conflicts", "jobs", "job", "preflight", "instants", "player", "compare"):
+        for name, content in ON_A_PHONE.items():
             tab.open(PAGES[name](ids[0], frames_job if name == "instants" else ids[1]))
-            tab.page.wait_for_timeout(500)
+            tab.page.locator(content).first.wait_for(state="attached")
+            tab.page.wait_for_load_state("networkidle" if name != "job" else "load")
             assert tab.page.evaluate(BEYOND) <= 0, name
 
 
