@@ -53,6 +53,7 @@ class Camera:
     Attributes:
         pictures: sent one after the other, at their times, then from the first again.
         media: the body of the session description after its head; None: H.264.
+        name: of the session, as the camera has encoded it.
         login: name and password, by digest; None: for everybody.
         jumps: of the picture with this number (counted over all rounds) the stamps of all after it move, s.
         silent_from: from the picture with this number on nothing is sent, and the connection stays open.
@@ -63,6 +64,7 @@ class Camera:
 
     pictures: Sequence[Picture]
     media: str | None = None
+    name: bytes = b"camera"
     login: tuple[str, str] | None = None
     jumps: Mapping[int, float] = field(default_factory=dict)
     silent_from: int | None = None
@@ -74,14 +76,17 @@ class Camera:
     def url(self, login: str = "", path: str = "/live") -> str:
         return f"rtsp://{login}127.0.0.1:{self.port}{path}"
 
-    def described(self) -> str:
-        parameters = {unit[0] & 31: unit for unit in self.pictures[0].units if unit[0] & 31 in (7, 8)}
-        sets = ",".join(base64.b64encode(parameters[kind]).decode() for kind in (7, 8))
-        media = self.media or (
-            "m=video 0 RTP/AVP 96\r\na=rtpmap:96 H264/90000\r\n"
-            f"a=fmtp:96 packetization-mode=1;sprop-parameter-sets={sets}\r\na=control:track1\r\n"
-        )
-        return f"v=0\r\no=- 0 0 IN IP4 127.0.0.1\r\ns=camera\r\nc=IN IP4 0.0.0.0\r\nt=0 0\r\n{media}"
+    def described(self) -> bytes:
+        media = self.media
+        if media is None:
+            parameters = {unit[0] & 31: unit for unit in self.pictures[0].units if unit[0] & 31 in (7, 8)}
+            sets = ",".join(base64.b64encode(parameters[kind]).decode() for kind in (7, 8))
+            media = (
+                "m=video 0 RTP/AVP 96\r\na=rtpmap:96 H264/90000\r\n"
+                f"a=fmtp:96 packetization-mode=1;sprop-parameter-sets={sets}\r\na=control:track1\r\n"
+            )
+        lines = b"v=0\r\no=- 0 0 IN IP4 127.0.0.1\r\ns=%s\r\nc=IN IP4 0.0.0.0\r\nt=0 0\r\n"
+        return lines % self.name + media.encode()
 
 
 @contextmanager
@@ -131,7 +136,7 @@ class _Session:
                 return
 
     def _answer(self, method: str, url: str, headers: Mapping[str, str]) -> bool:
-        said, body, status = [f"CSeq: {headers['cseq']}"], "", "200 OK"
+        said, body, status = [f"CSeq: {headers['cseq']}"], b"", "200 OK"
         if self._camera.login and not self._knows(method, headers.get("authorization", "")):
             status = "401 Unauthorized"
             said.append(f'WWW-Authenticate: Digest realm="{_REALM}", nonce="{_NONCE}"')
@@ -149,7 +154,7 @@ class _Session:
         else:
             status = "501 Not Implemented"
         with self._lock:
-            self._connection.sendall(("\r\n".join([f"RTSP/1.0 {status}", *said, "", ""]) + body).encode())
+            self._connection.sendall(("\r\n".join([f"RTSP/1.0 {status}", *said, "", ""])).encode() + body)
         if method == "PLAY" and status.startswith("200"):
             threading.Thread(target=self._play, daemon=True).start()
         return method != "TEARDOWN"

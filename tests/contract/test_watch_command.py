@@ -21,6 +21,7 @@ from tests.finished import publish
 from tests.recordings import write_recording
 from tests.rtsp_server import Camera, pictures_of, rtsp_server
 from tests.service import TOKEN, LiveApi, wait_until
+from wibam_core.adapters.stream_recorder import RECORDED
 from wibam_core.cli.watch import watch
 from wibam_core.errors import InputError
 from wibam_core.models.weights import bundled
@@ -143,8 +144,8 @@ def test_a_stream_is_recorded_run_and_removed(api: LiveApi, model: dict, tmp_pat
     assert len(sent) == len(made_runs) >= 2
     for file in sent:  # the name and the time that the service knows are one
         assert file["started_at"][:23].replace(":", "-").replace("T", "_") == file["filename"][:23]
-    left = list((folder / "cam1").iterdir())
-    assert not {path.name for path in left} & {name.removeprefix("cam1/") for name in noted}
+    left = list((folder / "cam1" / RECORDED).iterdir())
+    assert not {path.name for path in left} & {Path(name).name for name in noted}
     assert not any(path.name.startswith(".") for path in left)
 
 
@@ -156,6 +157,7 @@ def test_a_stream_is_recorded_run_and_removed(api: LiveApi, model: dict, tmp_pat
         (("--stream", "cam1=http://a:s3cret@127.0.0.1/x"), "not of the form"),
         (("--stream", "cam1=@/no/such/file"), "cannot be read"),
         (("--stream", "cam1=rtsp://127.0.0.1:9/x", "--once"), "no end to wait for"),
+        (("--stream", "cam1=rtsp://127.0.0.1:9/x", "--stream", "cam1=rtsp://127.0.0.1:9/y"), "two streams"),
     ],
 )
 def test_streams_that_cannot_be(

@@ -1,7 +1,8 @@
 """A camera's stream over RTSP (RFC 2326, 7826), read packet by packet: connecting, signing in, and what goes wrong.
 
 Pictures and control share one TCP connection, so that nothing is lost between the camera and here but by a broken
-connection. Addresses hold passwords: no message, log or file has more of one than host and path.
+connection. Addresses hold passwords, which some makers' cameras want in the path: no message, log or file has more of
+one than the host.
 """
 
 from __future__ import annotations
@@ -52,20 +53,21 @@ class StreamAddress:
         try:
             parts = urlsplit(text)
             good = parts.scheme.lower() in _SCHEMES and parts.hostname and (parts.port is None or parts.port > 0)
+            # a / ? or # within a password ends the host there, and the password would be taken for a path
+            good = good and "@" not in parts.path + parts.query + parts.fragment
         except ValueError:
             good = False
         if not good or any(not character.isprintable() or character == " " for character in text):
             raise InputError(
                 "the address of a stream is not of the form rtsp://NAME:PASSWORD@HOST:PORT/PATH",
-                hint="Write characters such as @, / and : in a name or password as %40, %2F and %3A.",
+                hint="Write @, /, :, ? and # in a name or password as %40, %2F, %3A, %3F and %23; @ in a path, too.",
             )
         return cls(text)
 
     def __str__(self) -> str:
-        """Host and path alone: queries of cameras' addresses may hold passwords, too."""
+        """The host alone: paths and queries of cameras' addresses may hold passwords, too."""
         parts = urlsplit(self.url)
-        host = parts.netloc.rpartition("@")[2]
-        return f"{parts.scheme}://{host}{parts.path}"
+        return f"{parts.scheme}://{parts.netloc.rpartition('@')[2]}"
 
 
 @dataclass(frozen=True, eq=False)
@@ -93,7 +95,13 @@ def open_stream(address: StreamAddress, silence_s: float = SILENCE_S) -> Iterato
     }
     with _named(address):
         container = av.open(
-            address.url, "r", format="rtsp", options=options, container_options=options, timeout=silence_s
+            address.url,
+            "r",
+            format="rtsp",
+            options=options,
+            container_options=options,
+            metadata_errors="replace",  # cameras name their streams in any encoding
+            timeout=silence_s,
         )
     with container:
         yield _packets(container.demux(_video_of(container.streams.video, address)), address)
@@ -138,7 +146,7 @@ def _named(address: StreamAddress) -> Iterator[None]:
         refused = StreamRefused(f"{address} is not for this user", hint="Allow it in the camera's settings.")
     except av.HTTPNotFoundError:
         refused = StreamRefused(f"{address}: the camera has no such stream", hint="Look its path up in its manual.")
-    except (av.FFmpegError, OSError) as error:
+    except (av.FFmpegError, OSError, ValueError) as error:
         refused = StreamLost(
             f"{address} cannot be read: {_said(error)}", hint="Is the camera on, and can it be reached from here?"
         )

@@ -5,42 +5,27 @@ Streams of cameras are recorded into the same folder (`adapters.stream_recorder`
 
 from __future__ import annotations
 
-import json
 import signal
 import time
 from collections.abc import Mapping, Sequence
 from contextlib import ExitStack, suppress
-from dataclasses import dataclass
 from datetime import UTC, datetime, timedelta
 from functools import partial
-from pathlib import Path, PurePath
+from pathlib import Path
 from types import FrameType
-from typing import Annotated, Any
+from typing import Annotated
 
 import typer
 from rich.console import Console
 from rich.markup import escape
 
 from wibam_core.adapters.camera_stream import StreamAddress
-from wibam_core.adapters.stream_recorder import StreamRecorder, is_recorded
+from wibam_core.adapters.stream_recorder import StreamRecorder, disk_error
+from wibam_core.adapters.watched_folder import WatchedFolder, alone_in
 from wibam_core.cli.run import parse_options
 from wibam_core.cli.service import DEFAULT_URL, Token, Url, connect
 from wibam_core.client import WibamClient
 from wibam_core.errors import InputError, WibamError
-from wibam_core.video.name_times import time_in
-
-#: Beside the footage: which files were run, and in which run.
-_DONE = ".wibam-watched.json"
-_VIDEO = {".mp4", ".mkv", ".mov", ".ts", ".m4v", ".avi", ".webm"}
-
-
-@dataclass(frozen=True)
-class Arrived:
-    """A complete file of a camera, and when it began."""
-
-    camera: str
-    path: Path
-    started: datetime
 
 
 def watch(
@@ -69,8 +54,8 @@ def watch(
 
     A file's name says when it began, as recorders write it (north/2026-07-01_08-00-00.mp4). Files of a camera are run
     in order, each going on with the one before, so that road users keep their ids. What was run is noted in the folder;
-    a file whose run fails is noted, too, and not tried again. Files of streams are removed once they were run: the
-    service has them.
+    a file whose run fails or is cancelled is noted, too, and not tried again. Files of streams are removed once they
+    were run: the service has them.
     """
     console = Console()
     if stream and once:
@@ -79,121 +64,52 @@ def watch(
         folder.mkdir(parents=True, exist_ok=True)
     if not folder.is_dir():
         raise InputError(f"{folder} is no folder", hint="Give the folder that the recorders write to.")
-    options, addresses = parse_options(option or []), dict(_stream(text) for text in stream or [])
+    options, addresses = parse_options(option or []), _addresses(stream or [])
     signal.signal(signal.SIGTERM, _interrupt)
-    with connect(url, token) as client, ExitStack() as recorders:
+    with alone_in(folder), connect(url, token) as client, ExitStack() as recorders:
         model_id, site_id = _model(client, model, site)
         _check_cameras(addresses, client.site(site_id).cameras)
-        watched = _Watched(folder, client, model_id, site_id, options, console)
         recording: list[StreamRecorder] = []
+
+        def check() -> None:
+            for one in recording:
+                one.check()
+
+        watched = WatchedFolder(folder, client, model_id, site_id, options, partial(_say, console, ""), check)
         for camera, address in addresses.items():
             say = partial(_say, console, camera)
             recording.append(StreamRecorder(address, folder / camera, 60 * chunk_minutes, round(keep_gb * 1e9), say))
             recorders.callback(recording[-1].stop)
         with suppress(KeyboardInterrupt):
             while True:
-                for one in recording:
-                    one.check()
+                check()
                 try:
                     watched.run_all(quiet, timedelta(hours=utc_offset))
-                except WibamError as error:
+                except (WibamError, OSError) as error:
+                    check()
+                    known = error if isinstance(error, WibamError) else disk_error(folder, error)
                     if once:
-                        raise
-                    _say(console, "", f"{error.message} {error.hint}".strip())
+                        raise known from None
+                    _say(console, "", f"{known.message} {known.hint}".strip())
                 if once:
                     return
                 time.sleep(min(max(quiet / 3, 1.0), 10.0))
         console.print("stopping ...")
 
 
-class _Watched:
-    """A folder, and what was run of it, which is noted there.
+def _addresses(texts: Sequence[str]) -> dict[str, StreamAddress]:
+    """Each camera's address.
 
-    Args:
-        folder: with a folder for each camera.
-        client, model_id, site_id, options: what files are run with.
-        console: for what a person should know.
+    Raises:
+        InputError: one is none, or two are of one camera.
     """
-
-    def __init__(
-        self,
-        folder: Path,
-        client: WibamClient,
-        model_id: str,
-        site_id: str,
-        options: dict[str, Any],
-        console: Console,
-    ) -> None:
-        self._folder, self._client, self._console = folder, client, console
-        self._model_id, self._site_id, self._options = model_id, site_id, options
-        self._done = _read(folder)
-
-    def run_all(self, quiet_s: float, utc_offset: timedelta) -> None:
-        """Run what has arrived, one after the other.
-
-        Raises:
-            WibamError: one could not be run: it is tried again, since files of a camera are run in order.
-        """
-        for arrived in arrivals(self._folder, set(self._done), quiet_s, utc_offset, time.time()):
-            name = _name(self._folder, arrived.path)
-            try:
-                noted = self._run(arrived, name)
-            except FileNotFoundError:  # there was no room for it any more
-                continue
-            self._done[name] = noted
-            if is_recorded(arrived.path):
-                arrived.path.unlink(missing_ok=True)
-                self._forget_before(arrived.camera)
-            _write(self._folder, self._done)
-            said = f": {noted['failed']}" if "failed" in noted else ""
-            self._console.print(escape(f"{name}: {noted['run']}{said}"), highlight=False)
-
-    def _run(self, arrived: Arrived, name: str) -> dict[str, Any]:
-        """Send one file and wait for its run; who is in view at its beginning keeps the id of the run before."""
-        client, started = self._client, arrived.started.isoformat(timespec="milliseconds")
-        latest = self._latest(arrived.camera)
-        goes_on = latest is not None and _time(latest) < arrived.started
-        file_id = self._sent(arrived, started)
-        run = client.create_run(
-            self._model_id,
-            [file_id],
-            self._options,
-            continues=latest["run"] if goes_on and latest is not None else None,
-            name=name,
-            idempotency_key=f"{self._model_id}-{file_id}",
-        )
-        ended = client.wait(run.id, interval_s=2.0)
-        noted = {"run": run.id, "camera": arrived.camera, "model": self._model_id, "started": started}
-        return noted | ({} if ended.error is None else {"failed": ended.error.message})
-
-    def _sent(self, arrived: Arrived, started: str) -> str:
-        """The file's id at the service, to which it may have been sent before this program was ended."""
-        size = arrived.path.stat().st_size
-        there = self._client.footage(
-            self._site_id, arrived.camera, (arrived.started, arrived.started + timedelta(milliseconds=1))
-        )
-        for one in there:
-            if (one.filename, one.size_bytes) == (arrived.path.name, size):
-                return one.id
-        return self._client.upload_footage(self._site_id, arrived.camera, arrived.path, started)
-
-    def _latest(self, camera: str) -> dict[str, Any] | None:
-        """Of the camera's runs of this model that went well, the latest one."""
-        before = [
-            one
-            for one in self._done.values()
-            if (one["camera"], one["model"]) == (camera, self._model_id) and "failed" not in one
-        ]
-        return max(before, key=_time, default=None)
-
-    def _forget_before(self, camera: str) -> None:
-        """Keep of what was recorded, and is gone from the folder, the note alone that the next run needs."""
-        latest = self._latest(camera)
-        self._done = {
-            name: one
-            for name, one in self._done.items()
-            if one is latest or one["camera"] != camera or not is_recorded(Path(name)) or (self._folder / name).exists()
-        }
+    found: dict[str, StreamAddress] = {}
+    for text in texts:
+        camera, address = _stream(text)
+        if camera in found:
+            raise InputError(f"two streams are of camera {camera!r}", hint="Give one for each camera.", camera=camera)
+        found[camera] = address
+    return found
 
 
 def _stream(text: str) -> tuple[str, StreamAddress]:
@@ -228,51 +144,6 @@ def _interrupt(number: int, frame: FrameType | None) -> None:
     raise KeyboardInterrupt
 
 
-def _time(noted: Mapping[str, Any]) -> datetime:
-    return datetime.fromisoformat(str(noted["started"]))
-
-
-def arrivals(folder: Path, done: set[str], quiet_s: float, utc_offset: timedelta, now: float) -> list[Arrived]:
-    """Complete files that were not run yet, by time, then by camera.
-
-    Files that are recorded here get their names when they are complete; of others it is told by their not growing.
-
-    Args:
-        folder: with a folder for each camera.
-        done: their names below the folder.
-        quiet_s: a file that has grown lately may grow on.
-        utc_offset: of the times in the names.
-        now: Unix seconds.
-
-    Raises:
-        InputError: a file's name does not say when it began.
-    """
-    found = []
-    for path in sorted(folder.glob("*/*")):
-        if path.suffix.lower() not in _VIDEO or path.name.startswith(".") or _name(folder, path) in done:
-            continue
-        facts = path.stat()
-        if path.is_file() and facts.st_size and (is_recorded(path) or now - facts.st_mtime >= quiet_s):
-            found.append(Arrived(path.parent.name, path, began(path.name, utc_offset)))
-    return sorted(found, key=lambda one: (one.started, one.camera, one.path.name))
-
-
-def began(name: str, utc_offset: timedelta) -> datetime:
-    """When a file began, as its name says; one with a Z after its time is in UTC, whatever the offset of the others.
-
-    Raises:
-        InputError: it does not.
-    """
-    found = time_in(PurePath(name).stem)
-    if found is None:
-        raise InputError(
-            f"the name {name!r} does not say when the file began",
-            hint="Let the recorder write the time into it, like 2026-07-01_08-00-00.mp4.",
-        )
-    began, is_utc = found
-    return began if is_utc else began - utc_offset
-
-
 def _model(client: WibamClient, model: str | None, site: str | None) -> tuple[str, str]:
     if model is not None:
         return model, client.model(model).site_id
@@ -282,24 +153,3 @@ def _model(client: WibamClient, model: str | None, site: str | None) -> tuple[st
     if not promoted:
         raise InputError(f"no model of site {site} is promoted", hint="`wibam models promote MODEL`, or give --model.")
     return promoted[0].id, site
-
-
-def _name(folder: Path, path: Path) -> str:
-    return path.relative_to(folder).as_posix()
-
-
-def _read(folder: Path) -> dict[str, dict[str, Any]]:
-    try:
-        return dict(json.loads((folder / _DONE).read_text(encoding="utf-8")))
-    except FileNotFoundError:
-        return {}
-    except ValueError as error:
-        raise InputError(
-            f"{folder / _DONE} cannot be read: {error}", hint="Remove it to run all files of the folder again."
-        ) from error
-
-
-def _write(folder: Path, done: dict[str, dict[str, Any]]) -> None:
-    partial = folder / f"{_DONE}.tmp"
-    partial.write_text(json.dumps(done, indent=1), encoding="utf-8")
-    partial.replace(folder / _DONE)

@@ -32,6 +32,8 @@ _JUMP_NS = 2_000_000_000
 _SHORTEST_NS = 1_000_000_000
 #: What is written can be read about a second later, should the program be killed.
 _AT_ONCE = {"cluster_time_limit": "1000", "flush_packets": "1"}
+#: A stream that has had no key frame for so long after its beginning can be asked for one by connecting again.
+_KEY_FRAME_WITHIN_NS = 60_000_000_000
 #: The name of a file in the making is mended when its beginning is known better by so much.
 _BETTER_NS = 20_000_000
 
@@ -59,8 +61,9 @@ def name_of(began_ns: int) -> str:
 class ChunkCutter:
     """Takes a stream's packets one by one and writes files; a context manager, which completes the last one.
 
-    A file begins with a key frame, and ends before the first one after ``length_s``, or where stamps jump: what comes
-    between a jump and the next key frame cannot be decoded and is left out. While it is written its name begins with a
+    A file begins with a key frame, and ends before the first one after ``length_s``, by the stamps or by the clock, or
+    once it has half the bytes that it may have. It ends at once where stamps jump, or with all those bytes: what comes
+    between that and the next key frame cannot be decoded and is left out. While it is written its name begins with a
     dot; one that was left behind by a killed program is completed by `recovered`.
 
     Args:
@@ -68,6 +71,10 @@ class ChunkCutter:
         length_s: of a chunk, about.
         to_unix_ns: from the clock by which packets arrive, which is never set, to Unix time as it is known now.
         complete: told each file.
+        most_bytes: of a file.
+
+    Attributes:
+        frozen: a file was left out since its stamps had hardly moved over its whole length.
     """
 
     def __init__(
@@ -76,12 +83,16 @@ class ChunkCutter:
         length_s: float,
         to_unix_ns: Callable[[int], int],
         complete: Callable[[Chunk], None],
+        most_bytes: int,
     ) -> None:
         self._folder = folder
         self._length_ns = round(length_s * 1e9)
         self._to_unix_ns = to_unix_ns
         self._complete = complete
+        self._most_bytes = most_bytes
         self._open: _OpenChunk | None = None
+        self._first_arrived_ns = self._last_arrived_ns = -1
+        self.frozen = False
 
     def __enter__(self) -> ChunkCutter:
         return self
@@ -95,32 +106,54 @@ class ChunkCutter:
         Raises:
             OSError: it cannot be written.
         """
+        if self._first_arrived_ns < 0:
+            self._first_arrived_ns = arrived_ns
+        self._last_arrived_ns = arrived_ns
         if packet.pts is None or packet.time_base is None or not packet.size:
             return
         time_ns = ns_from_pts(packet.pts, packet.time_base)
         chunk = self._open
         if chunk is not None and (
             chunk.jumps(packet.pts, time_ns, arrived_ns)
-            or (packet.is_keyframe and time_ns - chunk.first_ns >= self._length_ns)
+            or chunk.written_bytes >= self._most_bytes
+            or (packet.is_keyframe and self._is_long(chunk, time_ns))
         ):
             self.close()
         if self._open is None:
             if not packet.is_keyframe:
                 return
+            self._first_arrived_ns = arrived_ns
             self._open = _OpenChunk(self._folder, stream, packet.pts, time_ns, arrived_ns, self._to_unix_ns)
         self._open.write(packet, time_ns, arrived_ns)
 
     @property
+    def writing(self) -> bool:
+        """There was a key frame, with which a file has begun."""
+        return self._open is not None
+
+    @property
     def overdue(self) -> bool:
-        """A chunk has become twice as long as it should: the stream hardly has key frames."""
-        chunk = self._open
-        return chunk is not None and chunk.last_ns - chunk.first_ns > 2 * self._length_ns
+        """A file has become twice as long as it should, or none can begin: the stream hardly has key frames."""
+        chunk, arrived_over_ns = self._open, self._last_arrived_ns - self._first_arrived_ns
+        if chunk is None:
+            return arrived_over_ns > min(2 * self._length_ns, _KEY_FRAME_WITHIN_NS)
+        return max(chunk.last_ns - chunk.first_ns, arrived_over_ns) > 2 * self._length_ns
+
+    def _is_long(self, chunk: _OpenChunk, time_ns: int) -> bool:
+        lengths_ns = time_ns - chunk.first_ns, self._last_arrived_ns - self._first_arrived_ns
+        return max(lengths_ns) >= self._length_ns or 2 * chunk.written_bytes >= self._most_bytes
 
     def close(self) -> None:
         """Complete the file that is being written, if any."""
         chunk, self._open = self._open, None
-        if chunk is not None and (made := chunk.close()) is not None:
+        if chunk is None:
+            return
+        arrived_over_ns = self._last_arrived_ns - self._first_arrived_ns
+        self._first_arrived_ns = self._last_arrived_ns
+        if (made := chunk.close()) is not None:
             self._complete(made)
+        elif arrived_over_ns >= max(self._length_ns, _SHORTEST_NS):
+            self.frozen = True
 
 
 class _OpenChunk:
@@ -136,6 +169,7 @@ class _OpenChunk:
         to_unix_ns: Callable[[int], int],
     ) -> None:
         self.first_ns = self.last_ns = first_ns
+        self.written_bytes = 0
         self._folder = folder
         self._to_unix_ns = to_unix_ns
         self._first_pts = first_pts
@@ -165,6 +199,7 @@ class _OpenChunk:
         dts = dts if self._last_dts is None else max(dts, self._last_dts + 1)
         packet.pts, packet.dts, packet.stream = pts, dts, self._stream
         self._last_dts = dts
+        self.written_bytes += packet.size
         try:
             self._container.mux_one(packet)
         except av.FFmpegError as error:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import errno
+import os
 import threading
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -15,9 +17,9 @@ from tests.recordings import write_recording
 from tests.rtsp_server import Camera, Picture, pictures_of, rtsp_server
 from tests.service import wait_until
 from wibam_core.adapters.camera_stream import StreamAddress, StreamLost, StreamRefused, open_stream
-from wibam_core.adapters.stream_recorder import StreamRecorder, is_recorded
-from wibam_core.cli.watch import began
-from wibam_core.errors import InputError
+from wibam_core.adapters.stream_recorder import RECORDED, StreamRecorder, disk_error, is_recorded
+from wibam_core.adapters.watched_folder import began
+from wibam_core.errors import DiskFull, InputError, WibamError
 from wibam_core.video.decode import decode
 
 LOGIN, SECRET = ("us@er", "p:ss wörd"), "us%40er:p%3Ass%20w%C3%B6rd@"
@@ -41,7 +43,7 @@ class Recording:
 
     @property
     def files(self) -> list[Path]:
-        return sorted(path for path in self.folder.iterdir() if is_recorded(path))
+        return sorted(path for path in self.folder.glob("*/*") if is_recorded(path))
 
     @property
     def last(self) -> str:
@@ -81,7 +83,7 @@ def test_a_stream_becomes_files_that_say_when_each_picture_was_taken(pictures: l
     taken = [time_s for of_file in recording.taken_s() for time_s in of_file]
     assert len(taken) >= 40
     assert len(recording.taken_s()[0]) == 20, "cut at the key frame"
-    assert not list(recording.folder.glob(".*")), "the last file was completed"
+    assert not list(recording.folder.rglob(".*")), "the last file was completed"
     # each picture was sent when it was taken; a busy machine sends some late, never early, and some receive them so
     sent = sorted(time_s for time_s, *_ in camera.sent)
     assert min(time_s - sent_s for time_s, sent_s in zip(taken, sent, strict=False)) > -0.06
@@ -135,11 +137,11 @@ def test_stamps_that_jump_end_a_file(pictures: list[Picture], tmp_path: Path) ->
 
 
 def test_where_files_wait_for_longer_than_there_is_room_the_oldest_go(pictures: list[Picture], tmp_path: Path) -> None:
-    (tmp_path / "north").mkdir()
-    old = tmp_path / "north" / "2026-07-01_06-00-00.000Z.mkv"
-    old.write_bytes(bytes(10**6))
-    other = tmp_path / "north" / "2026-07-01_06-00-00.mp4"
-    other.write_bytes(bytes(10**6))  # not ours to remove
+    (tmp_path / "north" / RECORDED).mkdir(parents=True)
+    old = tmp_path / "north" / RECORDED / "2026-07-01_06-00-00.000Z.mkv"
+    other = tmp_path / "north" / "2026-07-01_06-00-00.000Z.mkv"  # not ours to remove
+    for path in (old, other):
+        path.write_bytes(bytes(10**6))
     with rtsp_server(Camera(pictures)) as camera, recorded(tmp_path, camera.url(), 1.5, 200_000) as recording:
         recording.until(lambda: not old.exists() and len(recording.files) > 0)
     assert other.exists()
@@ -169,6 +171,7 @@ def test_what_waiting_does_not_mend_ends_the_recording(
         pytest.raises(StreamRefused, match=said) as refused,
     ):
         recording.until(lambda: False)
+    assert said in recording.last, "at once, not when somebody looks"
     assert "wr0ng" not in str(refused.value.to_dict())
     assert refused.value.__cause__ is None
     assert list((tmp_path / "north").iterdir()) == []
@@ -202,15 +205,70 @@ def test_a_stream_that_ends_is_lost(pictures: list[Picture]) -> None:
 
 @pytest.mark.parametrize(
     "text",
-    ["", "http://camera/live", "rtsp://", "/tmp/video.mp4", "rtsp://a:b@h:99999/x", "rtsp://h/a b", "rtsp:\n//h"],
+    [
+        *("", "http://camera/live", "rtsp://", "/tmp/video.mp4", "rtsp://a:b@h:99999/x", "rtsp://h/a b", "rtsp:\n//h"),
+        # characters that end the host, not written as %2F and the like: each would be the host "admin", port 12
+        *("rtsp://admin:12/s3cret@camera/live", "rtsp://admin:12?s3cret@camera/x", "rtsp://admin:12#s3cret@camera/x"),
+    ],
 )
 def test_what_is_no_address(text: str) -> None:
     with pytest.raises(InputError) as refused:
         StreamAddress.of(text)
-    assert "99999" not in refused.value.message
+    assert not any(secret in str(refused.value.to_dict()) for secret in ("99999", "s3cret"))
 
 
-def test_an_address_shows_no_secret() -> None:
-    address = StreamAddress.of("rtsp://admin:s3cret@camera:554/live?user=admin&password=s3cret")
-    assert str(address) == "rtsp://camera:554/live"
+@pytest.mark.parametrize(
+    "text",
+    [
+        "rtsp://admin:s3cret@camera:554/live?user=admin&password=s3cret",
+        "rtsp://camera:554/user=admin&password=s3cret&channel=1&stream=0.sdp?",
+        "rtsp://camera:554/user=admin_password=s3cret_channel=1_stream=0.sdp?real_stream",
+    ],
+)
+def test_an_address_shows_no_secret(text: str) -> None:
+    address = StreamAddress.of(text)
+    assert str(address) == "rtsp://camera:554"
     assert "s3cret" not in repr(address)
+
+
+def test_a_camera_may_write_its_name_in_any_encoding(pictures: list[Picture]) -> None:
+    with (
+        rtsp_server(Camera(pictures, name=b"cam\xe9ra")) as camera,
+        open_stream(StreamAddress.of(camera.url()), SILENCE_S) as packets,
+    ):
+        assert next(packets).packet.is_keyframe
+
+
+def test_a_stream_without_key_frames_is_not_said_to_be_recorded(pictures: list[Picture], tmp_path: Path) -> None:
+    media = Camera(pictures).described().decode().partition("t=0 0\r\n")[2]
+    with (
+        rtsp_server(Camera([one for one in pictures if not one.key], media=media)) as camera,
+        recorded(tmp_path, camera.url(), 0.3) as recording,
+    ):
+        recording.until(lambda: "has hardly any key frames" in recording.last)
+        assert len(recording.said) == 1
+    assert recording.files == []
+
+
+@pytest.mark.parametrize(
+    ("number", "error"), [(errno.ENOSPC, DiskFull), (errno.EDQUOT, DiskFull), (errno.EACCES, InputError)]
+)
+def test_a_disk_is_called_full_where_it_is(tmp_path: Path, number: int, error: type[WibamError]) -> None:
+    assert type(disk_error(tmp_path, OSError(number, os.strerror(number)))) is error
+
+
+def test_a_refusal_after_a_start_without_answer_or_of_a_stream_that_was_read_before_ends_nothing(
+    pictures: list[Picture], tmp_path: Path
+) -> None:
+    camera = Camera(pictures, login=LOGIN)
+    (tmp_path / "read" / "north" / RECORDED).mkdir(parents=True)  # by a program before
+    with rtsp_server(camera) as listening:
+        port = listening.port
+        with recorded(tmp_path / "read", camera.url()) as recording:
+            recording.until(lambda: "does not take this name and password" in recording.last)
+            recording.recorder.check()
+    with recorded(tmp_path / "off", camera.url()) as recording:  # the camera starts after the program
+        recording.until(lambda: "refused" in recording.last)
+        with rtsp_server(camera, port):
+            recording.until(lambda: "does not take this name and password" in recording.last)
+            recording.recorder.check()

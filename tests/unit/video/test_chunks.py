@@ -12,7 +12,7 @@ import av
 import numpy as np
 import pytest
 
-from wibam_core.cli.watch import began
+from wibam_core.adapters.watched_folder import began
 from wibam_core.video.chunks import Chunk, ChunkCutter, name_of, recovered
 from wibam_core.video.decode import decode
 
@@ -61,12 +61,13 @@ def cut(
     late_s: Callable[[int], float] = lambda n: 0.0,
     jump_s: Callable[[int], float] = lambda n: 0.0,
     of: Sequence[int] | None = None,
+    most_bytes: int = 10**9,
 ) -> list[Chunk]:
     """Feed a recording as a stream whose picture n arrives so late after it was taken, and whose stamps have jumped."""
     made: list[Chunk] = []
     with (
         av.open(str(source.path)) as container,
-        ChunkCutter(folder, length_s, lambda ns: ns + UNIX_NS, made.append) as cutter,
+        ChunkCutter(folder, length_s, lambda ns: ns + UNIX_NS, made.append, most_bytes) as cutter,
     ):
         stream = container.streams.video[0]
         packets: Iterator[av.Packet] = (packet for packet in container.demux(stream) if packet.size)
@@ -142,7 +143,7 @@ def test_what_comes_before_the_first_key_frame_and_pieces_too_short_are_left_out
 def test_a_file_that_a_killed_program_left_is_completed(pictures: Pictures, tmp_path: Path) -> None:
     made: list[Chunk] = []
     with av.open(str(pictures.path)) as container:
-        cutter = ChunkCutter(tmp_path, 60.0, lambda ns: ns + UNIX_NS, made.append)
+        cutter = ChunkCutter(tmp_path, 60.0, lambda ns: ns + UNIX_NS, made.append, 10**9)
         stream = container.streams.video[0]
         for packet in container.demux(stream):
             if packet.size:
@@ -164,12 +165,62 @@ def test_a_stream_without_key_frames_is_overdue(pictures: Pictures, tmp_path: Pa
     overdue = []
     with av.open(str(pictures.path)) as container:
         stream = container.streams.video[0]
-        with ChunkCutter(tmp_path, 0.3, lambda ns: ns, lambda chunk: None) as cutter:
+        with ChunkCutter(tmp_path, 0.3, lambda ns: ns, lambda chunk: None, 10**9) as cutter:
             for packet in container.demux(stream):
                 if packet.size:
                     cutter.add(packet, stream, round(float(packet.pts * packet.time_base) * S))
                     overdue.append(cutter.overdue)
     assert overdue[:10] == [False] * 7 + [True] * 3
+
+
+def test_a_stream_that_never_has_a_key_frame_is_overdue(pictures: Pictures, tmp_path: Path) -> None:
+    with av.open(str(pictures.path)) as container:
+        stream = container.streams.video[0]
+        packets = [packet for packet in container.demux(stream) if packet.size and not packet.is_keyframe]
+        overdue = []
+        with ChunkCutter(tmp_path, 600.0, lambda ns: ns, lambda chunk: None, 10**9) as cutter:
+            for second in (5, 35, 64, 66):
+                cutter.add(packets[0], stream, second * S)
+                overdue.append(cutter.overdue)
+                assert not cutter.writing
+    assert overdue == [False, False, False, True]
+
+
+def test_stamps_that_go_slowly_make_files_no_longer_by_the_clock(pictures: Pictures, tmp_path: Path) -> None:
+    """Each second of the stamps takes three of the clock: files of six seconds end at every second key frame."""
+    chunks = cut(pictures, tmp_path, 6.0, late_s=lambda n: 2.0 * n / FPS)
+    assert [len(list(decode(chunk.path))) for chunk in chunks] == [20, 20, 20]
+
+
+def test_stamps_that_stand_still_are_told_of(pictures: Pictures, tmp_path: Path) -> None:
+    with (
+        av.open(str(pictures.path)) as container,
+        ChunkCutter(tmp_path, 3.0, lambda ns: ns + UNIX_NS, lambda chunk: None, 10**9) as cutter,
+    ):
+        stream = container.streams.video[0]
+        for n, packet in enumerate(packet for packet in container.demux(stream) if packet.size):
+            packet.pts, packet.dts = n, None
+            cutter.add(packet, stream, n * S // FPS)
+            assert cutter.frozen == (n >= 30)
+            if cutter.frozen:
+                break
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_files_end_when_they_have_all_bytes_that_they_may_have(pictures: Pictures, tmp_path: Path) -> None:
+    with av.open(str(pictures.path)) as container:
+        sizes = [packet.size for packet in container.demux(container.streams.video[0]) if packet.size]
+    for name in ("at_key", "at_once"):
+        (tmp_path / name).mkdir()
+    most_bytes = 2 * sum(sizes[:11])
+    chunks = cut(pictures, tmp_path / "at_key", 60.0, most_bytes=most_bytes)
+    assert shown(chunks) == expected(pictures, range(60)), "nothing is lost where there are key frames"
+    assert len(chunks) >= 2
+    # with one key frame in the first four seconds a file ends at once, and the next begins with the next key frame
+    of = [n for n in range(60) if n not in (10, 20, 30, 50)]
+    chunks = cut(pictures, tmp_path / "at_once", 60.0, of=of, most_bytes=sum(sizes[n] for n in of[:15]))
+    assert round((chunks[0].ended_ns - UNIX_NS) / S, 3) == of[14] / FPS
+    assert chunks[1].began_ns == UNIX_NS + 4 * S
 
 
 def test_convention_names_are_in_utc_to_the_millisecond() -> None:
