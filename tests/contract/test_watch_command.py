@@ -22,8 +22,9 @@ from tests.recordings import write_recording
 from tests.rtsp_server import Camera, pictures_of, rtsp_server
 from tests.service import TOKEN, LiveApi, wait_until
 from wibam_core.adapters.stream_recorder import RECORDED
+from wibam_core.adapters.watched_folder import alone_in
 from wibam_core.cli.watch import watch
-from wibam_core.errors import InputError
+from wibam_core.errors import InputError, Locked
 from wibam_core.models.weights import bundled
 
 app = typer.Typer()
@@ -55,8 +56,10 @@ def runs(api: LiveApi, model: dict) -> list[dict]:
 
 
 @contextmanager
-def stages_end(api: LiveApi, model: dict, then: Callable[[], None] = lambda: None) -> Iterator[None]:
-    """All runs end well, soon after they were made; ``then`` is called each time."""
+def stages_end(
+    api: LiveApi, model: dict, then: Callable[[], None] = lambda: None, cancelled: tuple[str, ...] = ()
+) -> Iterator[None]:
+    """All runs end well, soon after they were made, but those of ``cancelled`` names; ``then`` is called each time."""
     stop = threading.Event()
 
     def work() -> None:
@@ -72,7 +75,10 @@ def stages_end(api: LiveApi, model: dict, then: Callable[[], None] = lambda: Non
             for run in runs(api, model):
                 if run["id"] not in dealt_with:
                     dealt_with.add(run["id"])
-                    publish(api, run["id"], made())
+                    if run["name"] in cancelled:
+                        assert api.http.post(f"/v1/jobs/{run['id']}/cancel").status_code == 202
+                    else:
+                        publish(api, run["id"], made())
                     then()
 
     with ThreadPoolExecutor(1) as pool:
@@ -112,6 +118,55 @@ def test_files_are_run_one_after_the_other_and_once(api: LiveApi, model: dict, t
     assert len(runs(api, model)) == begun + 2
     assert set(json.loads(noted.read_text())) == {"cam1/2026-07-01_08-00-00.mp4", "cam1/2026-07-01_08-10-00.mp4"}
     assert len(list((tmp_path / "cam1").iterdir())) == 2
+
+
+def test_runs_that_were_cancelled_or_deleted_hold_nothing_up(api: LiveApi, model: dict, tmp_path: Path) -> None:
+    begun, names = len(runs(api, model)), [f"cam1/2026-07-02_08-{tens}0-00.mp4" for tens in range(4)]
+    (tmp_path / "cam1").mkdir()
+    arguments = (str(tmp_path), "--site", model["site_id"], "--quiet", "0", "--once")
+
+    def put(*some: str) -> None:
+        for name in some:
+            (tmp_path / name).write_bytes(name.encode())
+
+    with stages_end(api, model, cancelled=(names[1],)):
+        put(*names[:3])
+        wibam_watch(api, *arguments)
+        first, _, third = runs(api, model)[begun:]
+        noted = json.loads((tmp_path / ".wibam-watched.json").read_text())
+        assert [noted[name].get("failed") for name in names[:3]] == [None, "it was cancelled", None]
+        assert third["continues"] == first["id"]
+        assert api.http.delete(f"/v1/jobs/{third['id']}").status_code == 204
+        put(names[3])
+        said = wibam_watch(api, *arguments)
+    assert f"nothing is left of run {third['id']}" in said
+    assert runs(api, model)[-1]["name"] == names[3]
+    assert runs(api, model)[-1]["continues"] is None
+
+
+def test_no_recording_goes_before_it_is_noted(api: LiveApi, model: dict, tmp_path: Path) -> None:
+    file = tmp_path / "cam1" / "wibam-recorded" / "2026-07-03_08-00-00.000Z.mkv"
+    file.parent.mkdir(parents=True)
+    file.write_bytes(b"recorded here")
+    blocked = tmp_path / ".wibam-watched.json.tmp"
+    blocked.mkdir()
+    arguments = (str(tmp_path), "--site", model["site_id"], "--once")
+    with stages_end(api, model):
+        with pytest.raises(InputError, match="cannot be used"):
+            wibam_watch(api, *arguments)
+        assert file.exists()
+        blocked.rmdir()
+        wibam_watch(api, *arguments)
+    assert not file.exists()
+    # a program that was ended between note and removal
+    file.write_bytes(b"recorded here")
+    wibam_watch(api, *arguments)
+    assert not file.exists()
+
+
+def test_a_folder_is_watched_by_one_program_alone(api: LiveApi, model: dict, tmp_path: Path) -> None:
+    with alone_in(tmp_path), pytest.raises(Locked, match="another `wibam watch`"):
+        wibam_watch(api, str(tmp_path), "--site", model["site_id"], "--once")
 
 
 def test_a_stream_is_recorded_run_and_removed(api: LiveApi, model: dict, tmp_path: Path) -> None:
