@@ -6,6 +6,7 @@ Run: python -m benchmarks.other_bodies.record SITE --seed 1 --models chosen [--s
 from __future__ import annotations
 
 import argparse
+import multiprocessing
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass
 from pathlib import Path
@@ -125,7 +126,8 @@ def record(folder: Path, plan: Plan, workers: int = 1) -> None:
     (folder / "truth").mkdir(exist_ok=True)
     rig, vehicles = plan.rig(), plan.traffic()
     paths = [folder / "recordings" / f"{camera_id}.mp4" for camera_id in rig]
-    with ProcessPoolExecutor(workers) as pool:
+    # begun anew, not forked: a fork of a process with OpenCV's threads may wait for one of them for ever
+    with ProcessPoolExecutor(workers, mp_context=multiprocessing.get_context("spawn")) as pool:
         seen = list(pool.map(_record_camera, [plan] * len(rig), [vehicles] * len(rig), rig, paths))
     site = Site(name=f"Other bodies {plan.seed}", cameras=tuple(site_camera(i, camera) for i, camera in rig.items()))
     (folder / "site.json").write_text(site.model_dump_json(indent=1) + "\n", encoding="utf-8")
