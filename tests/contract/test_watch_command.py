@@ -195,7 +195,7 @@ def test_a_stream_is_recorded_run_and_removed(api: LiveApi, model: dict, tmp_pat
     assert {one["run"] for one in noted.values()} <= {run["id"] for run in made_runs}
     assert len(noted) == 1, "what the next run needs, and no more"
     files = api.http.get(f"/v1/sites/{model['site_id']}/footage", params={"camera": "cam1"}).json()
-    sent = [file for file in files if file["filename"].endswith("Z.mkv")]
+    sent = [file for file in files if f"cam1/wibam-recorded/{file['filename']}" in {run["name"] for run in made_runs}]
     assert len(sent) == len(made_runs) >= 2
     for file in sent:  # the name and the time that the service knows are one
         assert file["started_at"][:23].replace(":", "-").replace("T", "_") == file["filename"][:23]
