@@ -206,7 +206,7 @@ def test_a_stream_that_ends_is_lost(pictures: list[Picture]) -> None:
 @pytest.mark.parametrize(
     "text",
     [
-        *("", "http://camera/live", "rtsp://", "/tmp/video.mp4", "rtsp://a:b@h:99999/x", "rtsp://h/a b", "rtsp:\n//h"),
+        *("", "http://camera/live", "rtsp://", "/video.mp4", "rtsp://a:b@h:99999/x", "rtsp://h/a b", "rtsp:\n//h"),
         # characters that end the host, not written as %2F and the like: each would be the host "admin", port 12
         *("rtsp://admin:12/s3cret@camera/live", "rtsp://admin:12?s3cret@camera/x", "rtsp://admin:12#s3cret@camera/x"),
     ],
