@@ -25,11 +25,11 @@ from wibam_core.synthetic.vehicles import VehicleModel, vehicle_mesh
 Array = NDArray[np.float64]
 
 #: Vehicles lower than this in the image are painted without windows, lamps and hubs.
-_DETAIL_PX = 9.0
+DETAIL_PX = 9.0
 #: Silhouettes larger than this are counted at a smaller scale.
 _LARGE_PX = 1_500_000
-_TYRE = (30.0, 30.0, 32.0)
-_HUB = (120.0, 120.0, 118.0)
+TYRE = (30.0, 30.0, 32.0)
+HUB = (120.0, 120.0, 118.0)
 
 
 @dataclass(frozen=True, eq=False)
@@ -56,7 +56,7 @@ class Drawing:
         return np.asarray(self.amodal_boxes[:, 2] > self.amodal_boxes[:, 0])
 
 
-class _Body:
+class Body:
     """One vehicle prepared for one view: points in the image, hulls, bounds."""
 
     def __init__(self, view: View, mesh: Mesh, box: Array) -> None:
@@ -117,8 +117,14 @@ class Renderer:
 
     def __init__(self, layout: Layout, lighting: Lighting, camera: Camera) -> None:
         self.view = View(camera)
-        self.background = Background(layout, lighting, self.view)
+        self.background = self._still(layout, lighting)
         self._lighting = lighting
+
+    def _still(self, layout: Layout, lighting: Lighting) -> Background:
+        return Background(layout, lighting, self.view)
+
+    def _mesh(self, model: VehicleModel) -> Mesh:
+        return vehicle_mesh(model)
 
     def sees(self, head: SignalHead) -> bool:
         """Whether a signal head is turned to the camera, wholly in its picture, and hidden by nothing still."""
@@ -144,7 +150,7 @@ class Renderer:
         image = lit.copy()
         ids = np.zeros((height, width), np.uint8)
         near_view = view.may_see(boxes[:, None, XYZ], np.linalg.norm(boxes[:, SIZE], axis=1) / 2)
-        bodies = {i: _Body(view, vehicle_mesh(models[i]), boxes[i]) for i in np.flatnonzero(near_view).tolist()}
+        bodies = {i: Body(view, self._mesh(models[i]), boxes[i]) for i in np.flatnonzero(near_view).tolist()}
         seen = [i for i, body in bodies.items() if _reaches_into(body.bounds, width, height)]
         self._cast_shadows(image, dark, boxes)
         totals = np.zeros(len(boxes))
@@ -166,6 +172,12 @@ class Renderer:
 
     # --- shadows ----------------------------------------------------------------------------
     def _cast_shadows(self, image: Image, dark: Image, boxes: Array) -> None:
+        cv2.copyTo(dark, self._shadow_mask(boxes), image)
+
+    def _shadow_mask(self, boxes: Array) -> Image:
+        """(H, W) 255 where vehicles keep the sun from the ground."""
+        width, height = self.view.size
+        mask = np.zeros((height, width), np.uint8)
         sun = np.array(self._lighting.sun)
         if self._lighting.shadow > 0.85:  # overcast: only the ground right below is dark
             sun = np.array([0.0, 0.0, 1.0])
@@ -173,20 +185,19 @@ class Renderer:
         near = np.hypot(*(boxes[:, XY] - self.view.eye[:2]).T) < 90
         near &= self.view.may_see(boxes[:, None, XYZ], 5.0 * boxes[:, HEIGHT])
         if not near.any():
-            return
+            return mask
         b = boxes[near]
         rings = []
         for share, z in ((0.98, 0.15), (0.95, 0.62), (0.72, 1.0)):
             narrowed = b * np.array([1, 1, 1, share, share, 1, 1])
             rings.append(footprints(narrowed) - (towards * z * b[:, HEIGHT, None])[:, None])
-        mask = np.zeros(image.shape[:2], np.uint8)
         hulls = [cv2.convexHull(points)[:, 0] for points in np.concatenate(rings, axis=1).astype(np.float32)]
         for polygon in self.view.polygons([np.pad(h.astype(np.float64), ((0, 0), (0, 1))) for h in hulls]):
             fill(mask, polygon, (255,))
-        cv2.copyTo(dark, mask, image)
+        return mask
 
     # --- vehicles ---------------------------------------------------------------------------
-    def _paint(self, image: Image, ids: Image, still: Image, body: _Body, number: int) -> float:
+    def _paint(self, image: Image, ids: Image, still: Image, body: Body, number: int) -> float:
         """Paint one vehicle; returns the number of pixels of its whole silhouette."""
         assert body.bounds is not None
         x0, y0, x1, y1 = _patch(body.bounds, ids.shape[1], ids.shape[0])
@@ -197,11 +208,11 @@ class Renderer:
         self._hide_behind_still(image[part], ids[part], still[part], mask, body, (x0, y0))
         return total
 
-    def _paint_faces(self, image: Image, body: _Body) -> None:
+    def _paint_faces(self, image: Image, body: Body) -> None:
         mesh = body.mesh
         facing = np.einsum("ij,ij->i", mesh.normals, body.eye - mesh.centres) > 0
         assert body.bounds is not None
-        detailed = body.bounds[3] - body.bounds[1] > _DETAIL_PX
+        detailed = body.bounds[3] - body.bounds[1] > DETAIL_PX
         if not detailed:
             facing &= ~mesh.detail
         light = self._lighting.shade(mesh.normals @ body.rotation.T)
@@ -209,7 +220,7 @@ class Renderer:
         colours = (mesh.colours * (glow + (1 - glow) * light)[:, None]).clip(0, 255).tolist()
         wheels = [cv2.convexHull(h.astype(np.float32))[:, 0] for h in self._wheel_outlines(body)]
         for outline in wheels:
-            fill(image, outline, _TYRE)
+            fill(image, outline, TYRE)
         pixels = fixed_point(body.uv) if body.whole else None
         for number in paint_order(mesh.order, body.eye):
             for f in mesh.parts[number].faces:
@@ -223,19 +234,19 @@ class Renderer:
             if body.eye[1] * side <= body.box[WIDTH] / 2:
                 continue
             disc = body.face(self.view, outer)
-            fill(image, disc, _TYRE)
+            fill(image, disc, TYRE)
             if detailed and len(disc):
                 middle = disc.mean(axis=0)
-                fill(image, middle + 0.55 * (disc - middle), _HUB)
+                fill(image, middle + 0.55 * (disc - middle), HUB)
 
-    def _wheel_outlines(self, body: _Body) -> list[Array]:
+    def _wheel_outlines(self, body: Body) -> list[Array]:
         if body.whole:
             return [body.uv[np.concatenate([outer, inner])] for outer, inner, _ in body.mesh.wheels]
         groups = [_clipped_hull_points(self.view, body.cam[np.concatenate(w[:2])]) for w in body.mesh.wheels]
         return [g for g in groups if len(g) >= 3]
 
     def _hide_behind_still(
-        self, image: Image, ids: Image, still: Image, mask: Image, body: _Body, corner: tuple[int, int]
+        self, image: Image, ids: Image, still: Image, mask: Image, body: Body, corner: tuple[int, int]
     ) -> None:
         """Give pixels back to still things in front of the vehicle. All arrays are the vehicle's patch."""
         h, w = mask.shape
@@ -255,7 +266,7 @@ class Renderer:
         ids[hidden] = 0
 
 
-def _entry_distance(directions: Array, body: _Body, eye: Array) -> Array:
+def _entry_distance(directions: Array, body: Body, eye: Array) -> Array:
     """Horizontal distance (M,) at which rays with ground directions (2, M) enter the vehicle's footprint.
 
     Rays that pass beside the footprint count as entering at its centre's distance.
@@ -284,7 +295,7 @@ def _patch(bounds: Array, width: int, height: int) -> tuple[int, int, int, int]:
     return max(0, int(x0)), max(0, int(y0)), min(width, int(x1)), min(height, int(y1))
 
 
-def _silhouette(body: _Body, patch: tuple[int, int, int, int]) -> tuple[float, Image]:
+def _silhouette(body: Body, patch: tuple[int, int, int, int]) -> tuple[float, Image]:
     """Pixels of the whole silhouette, and the silhouette within the image patch (h, w)."""
     assert body.bounds is not None
     x0, y0, x1, y1 = patch
@@ -319,7 +330,7 @@ def _visible_box(ids: Image, number: int, amodal: Array) -> Array:
     return np.concatenate([np.clip(box[:2], amodal[:2], amodal[2:]), np.clip(box[2:], amodal[:2], amodal[2:])])
 
 
-def _far_to_near(boxes: Array, bodies: Mapping[int, _Body], seen: list[int], eye: Array) -> list[int]:
+def _far_to_near(boxes: Array, bodies: Mapping[int, Body], seen: list[int], eye: Array) -> list[int]:
     """The vehicles in ``seen`` in painter's order.
 
     Two upright convex bodies that do not meet are parted by an upright plane along a side of one of them; the one on

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from typing import Literal
 
@@ -83,29 +83,44 @@ def sample_views(
             if regime == "ego":
                 keep = ~_at_ego(camera, boxes)
             renderer = Renderer(layout, lighting, camera)
-            signals = _signals(rng)
-            drawing = renderer.draw([m for m, k in zip(models, keep, strict=True) if k], boxes[keep], signals)
-            photometry = sample_photometry(rng)
-            seen = drawing.in_view
-            chosen = np.flatnonzero(keep)[seen]
-            yield RenderedView(
-                image=develop(drawing.image, photometry, rng),
-                camera=camera,
-                vehicles=Vehicles3D.of(
-                    0,
-                    boxes[chosen],
-                    classes=np.array([models[i].vehicle_class.number for i in chosen], dtype=np.int64),
-                    ids=chosen.astype(np.int64),
-                ),
-                visible_boxes=drawing.visible_boxes[seen],
-                amodal_boxes=drawing.amodal_boxes[seen],
-                visibility=drawing.visibility[seen],
-                still=develop(renderer.background.images(signals)[0], replace(photometry, noise_sd=0.0), rng),
-            )
+            yield rendered(renderer, models, boxes, np.flatnonzero(keep), rng)
+
+
+def rendered(
+    renderer: Renderer,
+    models: Sequence[VehicleModel],
+    boxes: Array,
+    chosen: NDArray[np.int64],
+    rng: np.random.Generator,
+) -> RenderedView:
+    """What a camera shows of the vehicles with the given numbers, which are their ids."""
+    signals = _signals(rng)
+    drawing = renderer.draw([models[i] for i in chosen], boxes[chosen], signals)
+    photometry = sample_photometry(rng)
+    seen = drawing.in_view
+    chosen = chosen[seen]
+    return RenderedView(
+        image=develop(drawing.image, photometry, rng),
+        camera=renderer.view.camera,
+        vehicles=Vehicles3D.of(
+            0,
+            boxes[chosen],
+            classes=np.array([models[i].vehicle_class.number for i in chosen], dtype=np.int64),
+            ids=chosen.astype(np.int64),
+        ),
+        visible_boxes=drawing.visible_boxes[seen],
+        amodal_boxes=drawing.amodal_boxes[seen],
+        visibility=drawing.visibility[seen],
+        still=develop(renderer.background.images(signals)[0], replace(photometry, noise_sd=0.0), rng),
+    )
+
+
+#: Draws a vehicle by the shares of classes.
+Choose = Callable[[np.random.Generator, dict[RoadUserClass, float]], VehicleModel]
 
 
 def sample_moment(
-    layout: Layout, routes: Sequence[Route], rng: np.random.Generator
+    layout: Layout, routes: Sequence[Route], rng: np.random.Generator, choose: Choose = sample_vehicle
 ) -> tuple[list[VehicleModel], Array]:
     """Vehicles that drive, queue, turn and park at one moment: looks, and boxes (N, 7) that do not overlap."""
     models: list[VehicleModel] = []
@@ -130,7 +145,7 @@ def sample_moment(
             s = route.stop_s_m - rng.exponential(14.0)
         else:
             s = rng.uniform(10.0, route.length_m - 10.0)
-        model = sample_vehicle(rng, TRAINING_MIX)
+        model = choose(rng, TRAINING_MIX)
         x, y, yaw = route.poses(s, model.length_m)
         jitter = rng.normal(0, 0.25, 2)
         place(model, x + jitter[0], y + jitter[1], yaw + rng.normal(0, 0.03))
@@ -141,7 +156,7 @@ def sample_moment(
             edge = arm.in_edge_m if side > 0 else -arm.out_edge_m
             along = arm.parking_start_m + rng.uniform(2, 12)
             while along < arm.parking_start_m + 45:
-                model = sample_vehicle(rng, {RoadUserClass.CAR: 0.85, RoadUserClass.VAN: 0.15})
+                model = choose(rng, {RoadUserClass.CAR: 0.85, RoadUserClass.VAN: 0.15})
                 x, y = arm.point(along + model.length_m / 2, side * (edge + PARKING_M / 2))
                 backwards = rng.random() < 0.15
                 yaw = arm.heading_rad + (np.pi if (side > 0) != backwards else 0.0) + rng.normal(0, 0.02)
