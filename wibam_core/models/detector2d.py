@@ -12,7 +12,7 @@ from torch.nn import functional
 from wibam_core.models.taught import TAUGHT
 from wibam_core.models.trunk import Trunk, TrunkShape, conv_block
 
-DETECTOR_SHAPE = TrunkShape(channels=(16, 16, 32, 64, 128), blocks=(0, 1, 1, 1), neck=32, refine=True)
+DETECTOR_SHAPE = TrunkShape(channels=(16, 16, 32, 64, 128), blocks=(0, 1, 1, 2), neck=32, refine=True)
 
 _HEAD_CHANNELS = 32
 

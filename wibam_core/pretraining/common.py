@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 import argparse
-import copy
 import json
 import math
 import time
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any, Generic, Protocol, TypeVar
+from typing import Any, Protocol, TypeVar
 
 import cv2
 import numpy as np
@@ -24,8 +23,10 @@ from wibam_core.geometry.camera import Camera
 from wibam_core.models.classes import ClassChannels
 from wibam_core.networks.small.architecture import CLASS_NAMES
 from wibam_core.networks.small.targets import Targets, encode
+from wibam_core.pretraining.state import AveragedWeights, TrainingState
 from wibam_core.scene import Vehicles3D
 from wibam_core.synthetic.sampling import Regime, RenderedView, sample_views
+from wibam_core.synthetic.varied_sampling import sample_varied_views
 from wibam_core.training.device import Precision, choose_device
 from wibam_core.training.views import LabelledView
 
@@ -39,6 +40,8 @@ VIEWS_PER_SITE = 20
 
 #: Name of the log in the folder of a script's outputs.
 LOG = "log.jsonl"
+#: And of what an interrupted run needs to go on.
+STATE = "state.pt"
 
 #: One in this many views without a vehicle is kept.
 _KEPT_EMPTY = 5
@@ -98,7 +101,10 @@ def render(seed: int, regime: Regime, count: int, size_px: tuple[int, int]) -> l
 
 @dataclass(frozen=True)
 class PoolPlan:
-    """Which views to render, and when: ``shard`` views every ``steps_per_shard`` steps, up to ``images``."""
+    """Which views to render, and when: ``shard`` views every ``steps_per_shard`` steps, up to ``images``.
+
+    Of ten sites ``varied_of_ten`` have varied views (`wibam_core.synthetic.varied_sampling`), of their own size.
+    """
 
     seed: int
     regime: Regime
@@ -106,6 +112,7 @@ class PoolPlan:
     shard: int
     steps_per_shard: int
     size_px: tuple[int, int]
+    varied_of_ten: int = 0
 
     @classmethod
     def within(
@@ -117,6 +124,12 @@ class PoolPlan:
     def due(self, step: int) -> int:
         """How many views are to be there at a step."""
         return min(self.images, (step // self.steps_per_shard + 1) * self.shard)
+
+    def views(self, first: int, count: int) -> Iterable[RenderedView]:
+        """So many views of one site, of which ``first`` were planned before."""
+        if first // VIEWS_PER_SITE % 10 < self.varied_of_ten:
+            return sample_varied_views(self.seed + first, count)
+        return sample_views(self.seed + first, self.regime, count, size_px=self.size_px)
 
     def part(self, number: int, parts: int) -> PoolPlan:
         """What one of several processes renders: other sites than the others do, in the same time."""
@@ -141,10 +154,7 @@ class ViewPool:
         due = self._plan.due(step)
         while self._rendered < due:
             count = min(VIEWS_PER_SITE, due - self._rendered)
-            views = map(
-                labelled, render(self._plan.seed + self._rendered, self._plan.regime, count, self._plan.size_px)
-            )
-            for index, view in enumerate(views):
+            for index, view in enumerate(map(labelled, self._plan.views(self._rendered, count))):
                 if len(view.classes) or index % _KEPT_EMPTY == 0:
                     _, data = cv2.imencode(".jpg", view.image, [cv2.IMWRITE_JPEG_QUALITY, _JPEG_QUALITY])
                     self._views.append((np.asarray(data, dtype=np.uint8), replace(view, image=_NO_IMAGE)))
@@ -181,23 +191,28 @@ class Batch:
 class _Batches(IterableDataset[Batch]):
     """Of several processes, each draws every so many-th batch, from views that it renders itself."""
 
-    def __init__(self, plan: PoolPlan, draw: Draw, count: int, batch_size: int, seed: int) -> None:
-        self._plan, self._draw, self._count, self._batch_size, self._seed = plan, draw, count, batch_size, seed
+    def __init__(self, plan: PoolPlan, draw: Draw, count: int, batch_size: int, seed: int, first: int) -> None:
+        self._plan, self._draw, self._count, self._batch_size = plan, draw, count, batch_size
+        self._seed, self._first = seed, first
 
     def __iter__(self) -> Iterator[Batch]:
-        plan, rng, steps = share_of_processes(self._plan, self._seed, self._count)
+        plan, _, steps = share_of_processes(self._plan, self._seed, self._count)
         pool = ViewPool(plan)
         for step in steps:
-            pool.grow(step)
-            yield Batch.of([self._draw(pool, rng) for _ in range(self._batch_size)])
+            if step >= self._first:
+                pool.grow(step)
+                rng = np.random.default_rng([self._seed, step])
+                yield Batch.of([self._draw(pool, rng) for _ in range(self._batch_size)])
 
 
-def batches(plan: PoolPlan, draw: Draw, count: int, batch_size: int, seed: int, workers: int = 0) -> Iterable[Batch]:
+def batches(
+    plan: PoolPlan, draw: Draw, count: int, batch_size: int, seed: int, workers: int = 0, first: int = 0
+) -> Iterable[Batch]:
     """So many batches, seeded; ``workers`` processes render and draw them ahead of training, 0: none does.
 
-    Other numbers of processes give other batches.
+    Other numbers of processes give other batches. Those before ``first``, a multiple of ``workers``, are left out.
     """
-    return ahead(_Batches(plan, draw, count, batch_size, seed), workers)
+    return ahead(_Batches(plan, draw, count, batch_size, seed, first), workers)
 
 
 def share_of_processes(plan: PoolPlan, seed: int, count: int) -> tuple[PoolPlan, np.random.Generator, range]:
@@ -230,25 +245,6 @@ def plain_camera(camera: Camera, width_px: int, height_px: int, zoom: float) -> 
     return Camera(K, np.zeros(0), camera.T_world_cam, width_px, height_px)
 
 
-class AveragedWeights(Generic[Network]):
-    """An exponential moving average of a network's parameters and statistics."""
-
-    def __init__(self, network: Network, decay: float) -> None:
-        self.network = copy.deepcopy(network).eval()
-        self._decay = decay
-        self._updates = 0
-
-    def update(self, network: nn.Module) -> None:
-        self._updates += 1
-        weight = 1 - min(self._decay, self._updates / (self._updates + 10))
-        averaged, current = self.network.state_dict(), network.state_dict()
-        for name, value in averaged.items():
-            if value.dtype.is_floating_point:
-                value.lerp_(current[name], weight)
-            else:
-                value.copy_(current[name])
-
-
 @dataclass(frozen=True)
 class Schedule:
     """AdamW with a short linear rise and a cosine fall to 1 % over ``steps``."""
@@ -266,19 +262,22 @@ class Schedule:
 
 def pretrain(
     network: Network,
-    data: Iterable[AnyBatch],
+    data: Callable[[int], Iterable[AnyBatch]],
     schedule: Schedule,
     losses: Callable[[Network, AnyBatch], dict[str, Tensor]],
     checkpoint: Callable[[Network, int], dict[str, Any]],
     log_path: Path,
     clock: Callable[[], float],
     device: torch.device,
+    state_path: Path | None = None,
 ) -> Network:
     """Train on ``device``, and return the averaged network, there.
 
-    ``data`` gives a batch for each of the schedule's steps; ``losses`` gives the parts and ``total`` for a batch on
-    the device; ``checkpoint`` saves and measures the averaged network, and its figures go to the log, one JSON object
-    per line. ``clock`` gives seconds from any origin, for the log.
+    ``data`` gives a batch for each of the schedule's steps from a given one on; ``losses`` gives the parts and
+    ``total`` for a batch on the device; ``checkpoint`` saves and measures the averaged network, and its figures go to
+    the log, one JSON object per line. ``clock`` gives seconds from any origin, for the log. At each checkpoint all that
+    training needs to go on is written to ``state_path``; where that is there already, training goes on from it, on a
+    CPU equal to the bit.
     """
     network = network.to(device).to(memory_format=torch.channels_last)  # type: ignore[call-overload]
     network.train()
@@ -287,7 +286,11 @@ def pretrain(
     scaler = Precision.of(device).scaler()
     started = clock()
     recent: dict[str, float] = {}
-    for step, batch in enumerate(data):
+    state = TrainingState(network, averaged, optimizer, scaler)
+    first = 0
+    if state_path is not None and state_path.is_file():
+        first, recent = state.restore(state_path, device)
+    for step, batch in enumerate(data(first), first):
         parts = losses(network, batch.to(device))
         detached = torch.stack([part.detach().double() for part in parts.values()])
         values = dict(zip(parts, detached.tolist(), strict=True))
@@ -310,6 +313,8 @@ def pretrain(
             append_log(log_path, record | {name: round(value, 4) for name, value in recent.items()})
         if done % schedule.checkpoint_every == 0 or done == schedule.steps:
             append_log(log_path, record | checkpoint(averaged.network, done))
+            if state_path is not None:
+                state.save(state_path, done, recent)
     return averaged.network
 
 
@@ -324,6 +329,7 @@ def add_options(parser: argparse.ArgumentParser, *, steps: int, images: int, bat
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--threads", type=int, default=1)
     parser.add_argument("--workers", type=int, default=0, help="processes that render and draw; 0: training's own")
+    parser.add_argument("--resume", action="store_true", help="go on from what an interrupted run left in --out")
     parser.add_argument("--device", choices=("auto", "cpu", "cuda"), default="cpu")
 
 
@@ -333,21 +339,23 @@ def prepare(arguments: argparse.Namespace) -> torch.device:
     torch.set_num_threads(arguments.threads)
     torch.manual_seed(arguments.seed)
     arguments.out.mkdir(parents=True, exist_ok=True)
+    if not arguments.resume:
+        (arguments.out / STATE).unlink(missing_ok=True)
     return device
 
 
 def pretrain_as_asked(
     arguments: argparse.Namespace,
     network: Network,
-    data: Iterable[AnyBatch],
+    data: Callable[[int], Iterable[AnyBatch]],
     losses: Callable[[Network, AnyBatch], dict[str, Tensor]],
     checkpoint: Callable[[Network, int], dict[str, Any]],
     device: torch.device,
 ) -> Network:
     """`pretrain` by the options of `add_options`; the log goes to the folder ``--out``."""
     schedule = Schedule(arguments.steps, arguments.learning_rate, 50, arguments.checkpoint_every)
-    log_path = arguments.out / LOG
-    return pretrain(network, data, schedule, losses, checkpoint, log_path, time.monotonic, device)
+    log_path, state_path = arguments.out / LOG, arguments.out / STATE
+    return pretrain(network, data, schedule, losses, checkpoint, log_path, time.monotonic, device, state_path)
 
 
 def append_log(path: Path, record: dict[str, Any]) -> None:

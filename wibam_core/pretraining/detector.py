@@ -7,9 +7,11 @@ from __future__ import annotations
 
 import argparse
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
+import cv2
 import numpy as np
 import torch
 from torch import Tensor
@@ -33,9 +35,11 @@ from wibam_core.pretraining.common import (
     pretrain_as_asked,
     render,
 )
+from wibam_core.pretraining.exported import load_exported
 from wibam_core.synthetic.sampling import RenderedView
 from wibam_core.training.augment import compress, cut_out, jitter_colour, mirror, rewarp
 from wibam_core.training.device import Precision
+from wibam_core.training.electronics import degraded
 from wibam_core.training.losses import focal_loss
 from wibam_core.training.views import FloatArray, LabelledView
 
@@ -45,24 +49,35 @@ RENDERED_PX = (544, 306)
 TRAINING_SEED = 200_000
 VALIDATION_SEED = 310_000
 
+#: Focal length of the trained images against the rendered ones' at the same width.
+_ZOOM = (0.75, 1.8)
+#: Share of images that another camera, another hour and another recorder have spoilt.
+_DEGRADED = 0.5
+
 _BOX_WEIGHT = 2.0
 _MIN_SCORE = 0.3
 _MATCH_IOU = 0.5
 
 
 def augmented(pool: ViewPool, rng: np.random.Generator) -> LabelledView:
-    """A random view zoomed, shifted, flipped, recoloured, cut out and compressed.
+    """A random view zoomed, shifted, flipped, recoloured, cut out and compressed, or degraded in more ways.
 
     The camera is not turned: boxes around warped boxes would be looser than boxes around warped vehicles.
     """
     view = pool.draw(rng)
-    camera = plain_camera(view.camera, WIDTH_PX, HEIGHT_PX, float(np.exp(rng.uniform(np.log(0.8), np.log(1.6)))))
+    zoom = float(np.exp(rng.uniform(*np.log(_ZOOM))))
+    camera = plain_camera(view.camera, WIDTH_PX, HEIGHT_PX, zoom)
+    smaller = view.camera.width_px / (WIDTH_PX * zoom)
+    if smaller > 1.2:  # what is made smaller must not flicker
+        view = replace(view, image=np.asarray(cv2.GaussianBlur(view.image, (0, 0), 0.35 * smaller), np.uint8))
     shift = np.zeros((3, 3))
     shift[:2, 2] = rng.normal(0.0, [0.08 * WIDTH_PX, 0.08 * HEIGHT_PX])
     fill = rng.integers(0, 256, 3)
     view = rewarp(view, replace(camera, K=camera.K + shift), (int(fill[0]), int(fill[1]), int(fill[2])))
     if rng.random() < 0.5:
         view = mirror(view)
+    if rng.random() < _DEGRADED:
+        return replace(view, image=degraded(cut_out(view.image, rng), rng))
     image = cut_out(jitter_colour(view.image, rng), rng)
     return replace(view, image=compress(image, rng) if rng.random() < 0.3 else image)
 
@@ -121,19 +136,26 @@ def main() -> None:
     parser = argparse.ArgumentParser(description="Train the bundled 2D detector on simulated elevated views.")
     parser.add_argument("--out", type=Path, default=Path("build/pretrain_detector"), help="folder for weights and log")
     add_options(parser, steps=3000, images=1200)
+    parser.add_argument("--varied", type=int, default=6, metavar="N", help="of ten sites, so many have varied views")
+    parser.add_argument("--start", type=Path, help="exported detector to go on from")
     arguments = parser.parse_args()
     device = prepare(arguments)
     validation = render(VALIDATION_SEED, "elevated", 80, (WIDTH_PX, HEIGHT_PX))
     plan = PoolPlan.within(
         arguments.steps, TRAINING_SEED + arguments.seed, "elevated", arguments.images, arguments.shard, RENDERED_PX
     )
+    plan = replace(plan, varied_of_ten=arguments.varied)
+    network = Detector2D()
+    if arguments.start:
+        usual = np.stack([view.image for view in render(TRAINING_SEED - 20, "elevated", 20, (WIDTH_PX, HEIGHT_PX))])
+        load_exported(arguments.start, network, to_input(usual, torch.device("cpu")))
 
     def checkpoint(averaged: Detector2D, step: int) -> dict[str, Any]:
         export_detector2d(averaged, arguments.out / "detector2d.onnx")
         return {"elevated": measure_views(averaged, validation)}
 
-    data = batches(plan, augmented, arguments.steps, arguments.batch, arguments.seed, arguments.workers)
-    pretrain_as_asked(arguments, Detector2D(), data, losses, checkpoint, device)
+    data = partial(batches, plan, augmented, arguments.steps, arguments.batch, arguments.seed, arguments.workers)
+    pretrain_as_asked(arguments, network, data, losses, checkpoint, device)
 
 
 if __name__ == "__main__":

@@ -6,7 +6,8 @@ python -m wibam_core.pretraining.edge_refiner --out build/edge_refiner --steps 5
 from __future__ import annotations
 
 import argparse
-from collections.abc import Iterator
+import itertools
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import Any
@@ -247,7 +248,10 @@ def main() -> None:
         export_edge_refiner(averaged, arguments.out / "edge_refiner.onnx", CROP_PX)
         return measure(averaged, validation)
 
-    data = ahead(CropBatches(plan, arguments.steps, arguments.batch, arguments.seed), arguments.workers)
+    def data(first: int) -> Iterable[Crops]:
+        made = ahead(CropBatches(plan, arguments.steps, arguments.batch, arguments.seed), arguments.workers)
+        return itertools.islice(made, first, None)
+
     pretrain_as_asked(arguments, EdgeRefinerNetwork(), data, losses, checkpoint, device)
 
 

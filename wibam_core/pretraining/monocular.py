@@ -157,7 +157,7 @@ def main() -> None:
         append_log(arguments.out / LOG, figures(network.to(device)))
         return
     draw = partial(augmented, zoom=(arguments.zoom[0], arguments.zoom[1]))
-    data = batches(plan, draw, arguments.steps, arguments.batch, arguments.seed, arguments.workers)
+    data = partial(batches, plan, draw, arguments.steps, arguments.batch, arguments.seed, arguments.workers)
     pretrain_as_asked(arguments, network, data, losses, checkpoint, device)
 
 

@@ -40,6 +40,19 @@ def test_a_seed_gives_the_same_batches(workers: int) -> None:
     assert not any(same(one, two) for one, two in itertools.combinations(first, 2))
 
 
+def test_batches_of_a_later_step_are_those_that_an_uninterrupted_run_draws() -> None:
+    through, later = drawn(4, 0), list(batches(PLAN, monocular.augmented, 4, 2, 0, 0, first=2))
+    assert len(later) == 2
+    assert all(map(same, through[2:], later))
+
+
+def test_of_ten_sites_some_have_varied_views() -> None:
+    plan = replace(PLAN, regime="elevated", varied_of_ten=1)
+    varied, plain = (next(iter(plan.views(first, 1))) for first in (0, 20))
+    assert plain.image.shape == (96, 128, 3)
+    assert varied.image.shape != plain.image.shape
+
+
 def test_processes_render_different_sites_and_together_as_many_views() -> None:
     parts = [PLAN.part(number, 3) for number in range(3)]
     rendered = [range(part.seed, part.seed + part.images) for part in parts]
