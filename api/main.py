@@ -32,6 +32,7 @@ from api.routes import (
     site_tracks,
     sites,
     system,
+    track_views,
     uploads,
     webhooks,
 )
@@ -109,6 +110,7 @@ def create_app(settings: ServiceSettings) -> FastAPI:
         uploads.router,
         jobs.router,
         results.router,
+        track_views.router,
         scene.router,
         clips.router,
         reviews.router,

@@ -86,6 +86,9 @@ class LabelledInstantOut(LabelVersionOut):
 
     time_ns: int
     seconds: float = Field(description="how long people worked on it")
+    in_job: bool = Field(
+        description="whether the job has frames of it; others of the footage were labelled through others"
+    )
 
 
 class LabelsSummaryOut(BaseModel):
@@ -106,12 +109,18 @@ class EvaluateIn(BaseModel):
 @router.get("", summary="List what is labelled", dependencies=[ONLY_KNOWN_PARAMETERS], responses=documented(422))
 def summary(job_id: str, services: ServicesDep, name: SetName = "main") -> LabelsSummaryOut:
     """Labels belong to the site and the recording of its reference camera: all jobs on it show the same."""
-    of = _set(services.jobs.job(job_id), name)
+    job = services.jobs.job(job_id)
+    of = _set(job, name)
+    has_frames = services.results.has(job, catalogue.FRAMES)
+    own = {instant.time_ns for instant in services.results.frames(job).frame_sets} if has_frames else frozenset[int]()
     return LabelsSummaryOut(
         sets=services.labels.sets(of.site_id, of.footage),
         instants=[
             LabelledInstantOut(
-                **_short(version), time_ns=version.labels.time_ns, seconds=round(version.labels.seconds, 1)
+                **_short(version),
+                time_ns=version.labels.time_ns,
+                seconds=round(version.labels.seconds, 1),
+                in_job=version.labels.time_ns in own,
             )
             for version in services.labels.latest(of)
         ],

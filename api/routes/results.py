@@ -5,12 +5,12 @@ from __future__ import annotations
 import base64
 import time
 from collections.abc import Iterable
+from dataclasses import replace
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
 from fastapi import APIRouter, Depends, Query
-from pydantic import Field
 from starlette.responses import FileResponse, JSONResponse, Response, StreamingResponse
 
 from api.paging import PageDep
@@ -19,16 +19,10 @@ from api.problems import documented
 from api.schemas import ArtifactOut, JobOut, ReportLinkOut
 from api.services import Services, ServicesDep
 from api.streams import STREAMS, BlocksResponse
+from api.track_parameters import AskedTracks
 from wibam_core.adapters.glimpses import GlimpseRequest, ReviewedConflicts
 from wibam_core.adapters.results import ResultFile, archive_of, conflicts_csv
-from wibam_core.adapters.track_query import (
-    TrackQuery,
-    cursor_of,
-    parse_bounds,
-    parse_cursor,
-    parse_polygon,
-    query_tracks,
-)
+from wibam_core.adapters.track_query import TrackQuery, cursor_of, parse_cursor, query_tracks
 from wibam_core.artifacts import catalogue
 from wibam_core.documents.conflicts import Conflicts
 from wibam_core.documents.metrics import Metrics
@@ -36,12 +30,10 @@ from wibam_core.documents.tracks import TrackPage
 from wibam_core.errors import Conflict
 from wibam_core.formats.archive import zip_blocks
 from wibam_core.jobs.records import Job
-from wibam_core.road_users import RoadUserClass
 
 router = APIRouter(prefix="/v1/jobs/{job_id}", tags=["results"], responses=documented(401, 404, 409))
 public_router = APIRouter(tags=["results"])
 _PAGE = 1000
-Int64 = Annotated[int, Field(ge=-(2**63), le=2**63 - 1)]
 _HTML: dict[int | str, dict[str, Any]] = {200: {"content": {"text/html": {}}}}
 #: A report is our own file, but what is in it came from users' recordings: it may run scripts, and reach nothing.
 _REPORT_HEADERS = {
@@ -116,34 +108,14 @@ def model(job_id: str, services: ServicesDep, format: Literal["safetensors", "on
 def tracks(
     job_id: str,
     services: ServicesDep,
+    asked: AskedTracks,
     format: Literal["json", "csv", "parquet"] = "json",
-    start_ns: Annotated[Int64 | None, Query(description="reference clock; counts in")] = None,
-    end_ns: Annotated[Int64 | None, Query(description="reference clock; does not count in")] = None,
-    bounds: Annotated[
-        str | None, Query(description="`x_min,y_min,x_max,y_max` in m", examples=["-10,-10,10,10"])
-    ] = None,
-    polygon: Annotated[str | None, Query(description="corners `x1,y1;x2,y2;...` in m", max_length=4000)] = None,
-    vehicle_class: Annotated[
-        list[RoadUserClass] | None, Query(alias="class", description="any of these", max_length=100)
-    ] = None,
-    track_id: Annotated[list[Int64] | None, Query(description="any of these", max_length=1000)] = None,
-    min_speed_mps: Annotated[float | None, Query(ge=0, allow_inf_nan=False)] = None,
     limit: Annotated[int | None, Query(ge=1, le=100_000)] = None,
     cursor: Annotated[str | None, Query(description="`next` of the page before")] = None,
 ) -> Response:
     """States of vehicles over time: position, size, yaw, speed, and the standard deviation of each."""
     page = limit if limit is not None else _PAGE if format == "json" else None
-    query = TrackQuery(
-        start_ns=start_ns,
-        end_ns=end_ns,
-        bounds=parse_bounds(bounds) if bounds is not None else None,
-        polygon=parse_polygon(polygon) if polygon is not None else (),
-        classes=tuple(vehicle_class or ()),
-        track_ids=tuple(track_id or ()),
-        min_speed_mps=min_speed_mps,
-        after=parse_cursor(cursor) if cursor is not None else None,
-        limit=page,
-    )
+    query = replace(asked, after=parse_cursor(cursor) if cursor is not None else None, limit=page)
     job = services.jobs.job(job_id)
     path = services.results.file(job, catalogue.TRACKS).path
     if format == "json":

@@ -13,6 +13,7 @@ from api.parameters import ONLY_KNOWN_PARAMETERS
 from api.problems import documented
 from api.schemas import MapOut
 from api.services import ServicesDep
+from api.track_parameters import Int64
 from wibam_core.adapters.findings import findings
 from wibam_core.artifacts import catalogue
 from wibam_core.documents.findings import InstantFindings
@@ -120,11 +121,25 @@ def scene(job_id: str, services: ServicesDep) -> SceneOut:
     )
 
 
-@router.get("/instants", summary="Which frames are stored")
-def instants(job_id: str, services: ServicesDep) -> InstantsOut:
+@router.get(
+    "/instants",
+    summary="Which frames are stored",
+    dependencies=[ONLY_KNOWN_PARAMETERS],
+    responses=documented(422),
+)
+def instants(
+    job_id: str,
+    services: ServicesDep,
+    start_ns: Annotated[Int64 | None, Query(description="reference clock; counts in")] = None,
+    end_ns: Annotated[Int64 | None, Query(description="reference clock; does not count in")] = None,
+) -> InstantsOut:
     """`GET /v1/jobs/{job_id}/frames/{camera}` gives them as pictures."""
     store = services.results.frames(services.jobs.job(job_id))
-    sets = store.frame_sets
+    sets = [
+        instant
+        for instant in store.frame_sets
+        if (start_ns is None or instant.time_ns >= start_ns) and (end_ns is None or instant.time_ns < end_ns)
+    ]
     return InstantsOut(
         times_ns=[instant.time_ns for instant in sets],
         frame_times_ns={

@@ -17,10 +17,9 @@ NONE = {"baseline": None, "finetuned": None}
 SCRIPT = """async ([job, camera, residuals]) => {
   const { residualFigure, trajectoryFigure } = await import("/static/js/placefigures.js");
   const { Camera } = await import("/static/js/projection.js");
-  const { Tracks } = await import("/static/js/trackdata.js");
   const scene = await (await fetch(`/v1/jobs/${job}/scene`)).json();
   const shown = await residualFigure(job, new Camera(scene.cameras.find((one) => one.id === camera)), residuals, true);
-  const gone = trajectoryFigure(scene, await Tracks.load(job, () => {}));
+  const gone = trajectoryFigure(scene, await (await fetch(`/v1/jobs/${job}/tracks/paths`)).json());
   document.querySelector("main").replaceChildren(shown, gone);
   return {
     lines: [...shown.querySelectorAll("line")].map((one) =>
@@ -29,6 +28,7 @@ SCRIPT = """async ([job, camera, residuals]) => {
     picture: shown.querySelector("image").getAttribute("href").slice(0, 23),
     none: await residualFigure(job, new Camera(scene.cameras[0]), { ...residuals, residuals: [] }, true),
     paths: [...gone.querySelectorAll("path.line")].map((one) => [one.getAttribute("d"), one.getAttribute("stroke")]),
+    stands: [...gone.querySelectorAll("circle")].map((one) => one.getAttribute("fill")),
     ticks: [...gone.querySelectorAll("text:not(.name)")].filter((one) => one.getAttribute("text-anchor") === "middle")
       .map((one) => [Number(one.textContent), Number(one.getAttribute("x"))]),
   };
@@ -69,13 +69,15 @@ def test_residuals_point_to_where_the_camera_sees_the_point(drawn: dict[str, Any
 
 def test_trajectories_are_to_scale(drawn: dict[str, Any]) -> None:
     """Track 1 drives along X at 10 m/s for 4.9 s; track 2 stands."""
-    ends = [[float(value) for value in re.findall(r"[\d.]+", path)] for path, _ in drawn["paths"]]
+    [(path, colour)] = drawn["paths"]
+    driven = [float(value) for value in re.findall(r"[\d.]+", path)]
     (x, px), *_, (x_last, px_last) = drawn["ticks"]
     per_m = (px_last - px) / (x_last - x)
-    driven = next(points for points in ends if points[0] != points[-2])
     assert driven[-2] - driven[0] == pytest.approx(49 * per_m, rel=1e-3)
     assert driven[1] == driven[-1], "Y does not change"
-    assert len({colour for _, colour in drawn["paths"]}) == 2
+    assert len(driven) == 4, "a straight way is drawn by its ends"
+    [stands] = drawn["stands"]
+    assert stands != colour, "a bus is no car"
 
 
 def test_jobs_with_another_test_part_are_not_compared(signed_in: Visit) -> None:

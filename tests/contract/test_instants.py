@@ -44,3 +44,13 @@ def test_an_instant_that_is_not_there_is_said(api: LiveApi, job: str) -> None:
     assert (answer.status_code, answer.json()["code"]) == (404, "not_found")
     assert api.http.get(f"/v1/jobs/{job}/instants/soon").status_code == 422
     assert api.http.get(f"/v1/jobs/{finished_job(api)}/instants/0").status_code == 404, "it has no frames"
+
+
+def test_stored_instants_are_listed_for_a_stretch(api: LiveApi, job: str) -> None:
+    whole = api.http.get(f"/v1/jobs/{job}/instants").json()
+    assert whole["times_ns"] == list(TIMES_NS)
+    params = {"start_ns": TIMES_NS[1], "end_ns": TIMES_NS[3]}
+    part = api.http.get(f"/v1/jobs/{job}/instants", params=params).json()
+    assert part["times_ns"] == list(TIMES_NS[1:3]), "the start counts in, the end does not"
+    assert part["frame_times_ns"] == {camera: times[1:3] for camera, times in whole["frame_times_ns"].items()}
+    assert api.http.get(f"/v1/jobs/{job}/instants", params={"from": 1}).status_code == 422

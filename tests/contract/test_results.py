@@ -237,6 +237,57 @@ class TestReport:
         assert httpx.get(api.url + link.path).status_code == 422
 
 
+class TestTracksInLittleSpace:
+    """Track 1 drives along X at 10 m/s, ten times a second; track 2 stands."""
+
+    def test_a_summary_takes_the_same_questions(self, api: LiveApi, job: str) -> None:
+        def ask(**params: object) -> dict:
+            return dict(api.http.get(f"/v1/jobs/{job}/tracks/summary", params=params).json())
+
+        whole = ask()
+        assert (whole["states"], whole["tracks"], whole["fastest_mps"]) == (100, 2, 10.0)
+        assert (whole["first_ns"], whole["last_ns"], whole["period_ns"]) == (0, 4_900_000_000, 100_000_000)
+        assert whole["bounds_m"] == [0.0, 0.0, 49.0, 5.0]
+        assert whole["classes"] == [{"class": name, "tracks": 1, "states": 50} for name in ("bus", "car")]
+        assert ask(bounds="9.5,-1,12.5,1")["states"] == 3
+        assert ask(track_id=99) == {
+            **dict.fromkeys(("first_ns", "last_ns", "period_ns", "fastest_mps", "bounds_m")),
+            "states": 0,
+            "tracks": 0,
+            "classes": [],
+        }
+
+    def test_a_stretch_is_a_list_for_each_number(self, api: LiveApi, job: str) -> None:
+        params = {"start_ns": 1_000_000_000, "end_ns": 1_300_000_000}
+        found = api.http.get(f"/v1/jobs/{job}/tracks/compact", params=params).json()
+        assert (found["times_ns"], found["next"]) == ([10**9, 11 * 10**8, 12 * 10**8], None)
+        car, bus = found["tracks"]
+        assert (car["track_id"], car["class"], car["at"], car["x_m"]) == (1, "car", [0, 1, 2], [10.0, 11.0, 12.0])
+        assert (bus["class"], bus["x_m"], bus["length_m"], bus["yaw_rad"]) == ("bus", [20.0], [12.0], [0.0])
+        page = api.http.get(f"/v1/jobs/{job}/tracks/compact", params={**params, "limit": 5}).json()
+        rest = api.http.get(f"/v1/jobs/{job}/tracks/compact", params={**params, "cursor": page["next"]}).json()
+        assert [one["track_id"] for one in rest["tracks"]] == [2]
+
+    def test_paths_have_corners_where_somebody_turns(self, api: LiveApi, job: str) -> None:
+        found = api.http.get(f"/v1/jobs/{job}/tracks/paths").json()
+        assert [(one["class"], one["x_m"], one["y_m"]) for one in found["paths"]] == [
+            ("car", [0.0, 49.0], [0.0, 0.0]),
+            ("bus", [20.0], [5.0]),
+        ]
+
+    @pytest.mark.parametrize("view", ["summary", "compact", "paths"])
+    def test_bad_questions_are_refused(self, api: LiveApi, job: str, view: str) -> None:
+        for params in ({"bounds": "1,2"}, {"polygon": "0,0;1,1"}, {"class": "tank"}, {"from": 1}):
+            assert api.http.get(f"/v1/jobs/{job}/tracks/{view}", params=params).status_code == 422, params
+        assert api.http.get(f"/v1/jobs/job_0/tracks/{view}").status_code == 404
+
+    def test_the_client_reads_them(self, api: LiveApi, job: str) -> None:
+        client = WibamClient(api.url, TOKEN)
+        assert client.tracks_summary(job, vehicle_class=["bus"]).states == 50
+        assert [len(page.times_ns) for page in client.compact_tracks(job, limit=60)] == [30, 20]
+        assert client.track_paths(job, track_id=[1]).paths[0].x_m == [0.0, 49.0]
+
+
 class TestClient:
     @pytest.fixture
     def client(self, api: LiveApi) -> WibamClient:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import cache
@@ -27,6 +27,8 @@ _CONFIG: dict[str, str | bool | int | float | list[str]] = {
     "autoload_known_extensions": False,
     "autoinstall_known_extensions": False,
 }
+#: What conditions look at.
+_RESTRICTED = ("time_ns", "track_id", "class", "x_m", "y_m", "speed_mps")
 _BOUNDS = "x_min,y_min,x_max,y_max in m, for example -10,-10,10,10"
 _POLYGON = "corners x1,y1;x2,y2;x3,y3 in m, for example 0,0;10,0;10,10"
 Point = tuple[float, float]
@@ -107,7 +109,7 @@ def cursor_of(time_ns: int, track_id: int) -> str:
 
 
 @contextmanager
-def query_tracks(path: Path, query: TrackQuery) -> Iterator[pa.RecordBatchReader]:
+def query_tracks(path: Path, query: TrackQuery, columns: Sequence[str] | None = None) -> Iterator[pa.RecordBatchReader]:
     """The states that match, sorted by time, then track, in batches of bounded size.
 
     They are read while they are taken: whoever stops taking them stops the query, and memory does not grow with their
@@ -117,9 +119,12 @@ def query_tracks(path: Path, query: TrackQuery) -> Iterator[pa.RecordBatchReader
     Args:
         path: a file of `wibam_core.formats.tracks`.
         query: which states.
+        columns: which of their columns, in this order; None: all.
     """
     with pq.ParquetFile(path, pre_buffer=False) as file, _engine().cursor() as connection:
         schema = _plain_schema(file.schema_arrow)
+        if columns is not None:
+            schema = pa.schema([schema.field(name) for name in columns])
         yield pa.RecordBatchReader.from_batches(schema, _matching(file, schema, connection, query))
 
 
@@ -128,9 +133,11 @@ def _matching(
 ) -> Iterator[pa.RecordBatch]:
     restricting, values = conditions(query)
     where = f"WHERE {' AND '.join(restricting)}" if restricting else ""
-    sql = f"SELECT * FROM states {where}"  # in the order of the file: preserve_insertion_order
+    names = ", ".join(f'"{name}"' for name in schema.names)
+    sql = f"SELECT {names} FROM states {where}"  # in the order of the file: preserve_insertion_order
     left = query.limit
-    for part in _parts(file, _row_groups(file.metadata, query)):
+    read = list(dict.fromkeys((*schema.names, *_RESTRICTED)))
+    for part in _parts(file, _row_groups(file.metadata, query), read):
         connection.register("states", pa.Table.from_batches([part]))
         found = connection.sql(sql, params=values).to_arrow_table().cast(schema)
         connection.unregister("states")
@@ -142,9 +149,9 @@ def _matching(
             return
 
 
-def _parts(file: pq.ParquetFile, groups: list[int]) -> Iterator[pa.RecordBatch]:
+def _parts(file: pq.ParquetFile, groups: list[int], columns: list[str]) -> Iterator[pa.RecordBatch]:
     for group in groups:  # one by one: together they would be read ahead
-        yield from file.iter_batches(_BATCH_ROWS, row_groups=[group], use_threads=False)
+        yield from file.iter_batches(_BATCH_ROWS, row_groups=[group], columns=columns, use_threads=False)
 
 
 def _row_groups(metadata: pq.FileMetaData, query: TrackQuery) -> list[int]:

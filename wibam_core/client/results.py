@@ -14,7 +14,7 @@ from wibam_core.client.views import (
 from wibam_core.documents.conflicts import Conflicts
 from wibam_core.documents.exports import BoxSource, ExportOffer
 from wibam_core.documents.metrics import Metrics
-from wibam_core.documents.tracks import TrackPage, TrackState
+from wibam_core.documents.tracks import CompactTracks, TrackPage, TrackPaths, TracksSummary, TrackState
 
 #: How long an export may send nothing: some formats are only written once all of a long recording was read.
 _EXPORT_TIMEOUT_S = 600.0
@@ -47,6 +47,26 @@ class ResultRequests(Requests):
             if page.next is None:
                 return
             params["cursor"] = page.next
+
+    def tracks_summary(self, job_id: str, **query: Any) -> TracksSummary:
+        """How many states and tracks match, when and where; ``query`` as in `tracks`."""
+        path = f"/v1/jobs/{job_id}/tracks/summary"
+        return TracksSummary.model_validate(self._connection.json("GET", path, params=_track_params(query)))
+
+    def compact_tracks(self, job_id: str, **query: Any) -> Iterator[CompactTracks]:
+        """The states by track and rounded, for drawing, page by page; ``query`` as in `tracks`."""
+        path, params = f"/v1/jobs/{job_id}/tracks/compact", _track_params(query)
+        while True:
+            page = CompactTracks.model_validate(self._connection.json("GET", path, params=params))
+            yield page
+            if page.next is None:
+                return
+            params["cursor"] = page.next
+
+    def track_paths(self, job_id: str, **query: Any) -> TrackPaths:
+        """Where road users went, as few lines as can be drawn together; ``query`` as in `tracks`."""
+        path = f"/v1/jobs/{job_id}/tracks/paths"
+        return TrackPaths.model_validate(self._connection.json("GET", path, params=_track_params(query)))
 
     def download_tracks(self, job_id: str, target: Path, format: str = "parquet", **query: Any) -> Path:
         """All matching states as a "parquet", "csv" or "json" file; ``query`` as in `tracks`."""

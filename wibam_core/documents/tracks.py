@@ -45,3 +45,81 @@ class TrackPage(Document):
     states: list[TrackState]
     next: str | None
     """Cursor of the next page."""
+
+
+class ClassTracks(Document):
+    """How many road users of one class there are, and how many states of them."""
+
+    road_user_class: str = Field(alias="class")
+    tracks: int
+    states: int
+
+
+class TracksSummary(Document):
+    """What can be said of states without listing them; null where there are none."""
+
+    states: int
+    tracks: int
+    first_ns: int | None
+    """Reference clock, as all times."""
+    last_ns: int | None
+    period_ns: int | None
+    """Between two instants with states, as a rule: the median. Null of a single instant."""
+    fastest_mps: float | None
+    bounds_m: tuple[float, float, float, float] | None
+    """Least x and y, greatest x and y of the boxes' centres."""
+    classes: list[ClassTracks]
+    """The most frequent first."""
+
+
+class CompactTrack(Document):
+    """States of one road user, a list for each number, rounded to what a picture shows.
+
+    All lists are as long as `at`, but a number that is the same in all states stands there once.
+    """
+
+    track_id: int
+    road_user_class: str = Field(alias="class")
+    at: list[int]
+    """Of each state the place of its time in `times_ns`."""
+    x_m: list[float]
+    """The box's centre in the world, to 1 cm, as all lengths."""
+    y_m: list[float]
+    z_m: list[float]
+    length_m: list[float]
+    width_m: list[float]
+    height_m: list[float]
+    yaw_rad: list[float]
+    """To 1 mrad."""
+    speed_mps: list[float]
+
+
+class CompactTracks(Document):
+    """States of tracked road users by track, for drawing: a tenth of a `TrackPage`, without motion and errors."""
+
+    times_ns: list[int]
+    """Reference clock, ascending."""
+    tracks: list[CompactTrack]
+    next: str | None
+    """Cursor of the next page."""
+
+
+class TrackPath(Document):
+    """Where one road user went: corners of a line that is nowhere farther from it than the tolerance."""
+
+    track_id: int
+    road_user_class: str = Field(alias="class")
+    x_m: list[float]
+    """Of the corners, in their order in time, to 1 cm."""
+    y_m: list[float]
+
+
+class TrackPaths(Document):
+    """Where road users went, thinned to be drawn together."""
+
+    tracks: int
+    """How many match; where these are too many to be drawn, `paths` has every second, third, ... of them."""
+    tolerance_m: float
+    period_ns: int | None
+    """Between the instants that were looked at: of very many states not all are; null of a single instant."""
+    paths: list[TrackPath]

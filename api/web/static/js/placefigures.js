@@ -4,7 +4,7 @@ import { figure, ticks } from "./chart.js";
 import { s } from "./dom.js";
 import { number } from "./format.js";
 
-const WIDE = 640, LARGER = 20, MOST_STATES = 40_000;
+const WIDE = 640, LARGER = 20;
 
 /** A picture as a data URI, so that a figure that is saved has it, too. @param {string} path @returns {Promise<string>} */
 async function pictureOf(path) {
@@ -42,26 +42,28 @@ export async function residualFigure(jobId, camera, residuals, frames) {
 
 /**
  * Where all road users went, from above, by class.
- * @param {any} scene @param {import("./trackdata.js").Tracks} tracks
+ * @param {any} scene @param {any} found `GET /v1/jobs/{id}/tracks/paths`
  */
-export function trajectoryFigure(scene, tracks) {
-  const all = [...tracks.byTrack.values()], states = all.flat(), size = 700;
-  const middle = (/** @type {(state: any) => number} */ of) => { const sorted = states.map(of).sort((a, b) => a - b); return [sorted[Math.floor(sorted.length * 0.01)], sorted[Math.ceil(sorted.length * 0.99) - 1]]; };
-  const [x0, x1] = middle((state) => state.x_m), [y0, y1] = middle((state) => state.y_m);
+export function trajectoryFigure(scene, found) {
+  const size = 700, drawn = found.paths.length;
+  const ends = (/** @type {number[]} */ all) => { const sorted = all.sort((a, b) => a - b); return [sorted[Math.floor(sorted.length * 0.01)], sorted[Math.ceil(sorted.length * 0.99) - 1]]; };
+  const [x0, x1] = ends(found.paths.flatMap((/** @type {any} */ path) => path.x_m)), [y0, y1] = ends(found.paths.flatMap((/** @type {any} */ path) => path.y_m));
   const scale = (size - 60) / Math.max(x1 - x0, y1 - y0, 1), px = (/** @type {number} */ x) => 40 + (x - x0) * scale, py = (/** @type {number} */ y) => size - 40 - (y - y0) * scale;
-  const root = s("svg.chart", { viewBox: `0 0 ${size} ${size}`, role: "img", "aria-label": `${all.length} trajectories from above` });
+  const root = s("svg.chart", { viewBox: `0 0 ${size} ${size}`, role: "img", "aria-label": `${drawn} trajectories from above` });
   for (const x of ticks(x0, x1, 6)) root.append(s("line.grid", { x1: px(x), x2: px(x), y1: 20, y2: size - 40 }), s("text", { x: px(x), y: size - 24, "text-anchor": "middle" }, String(x)));
   for (const y of ticks(y0, y1, 6)) root.append(s("line.grid", { x1: 40, x2: size - 20, y1: py(y), y2: py(y) }), s("text", { x: 34, y: py(y) + 4, "text-anchor": "end" }, String(y)));
   root.append(s("text.name", { x: size / 2, y: size - 6, "text-anchor": "middle" }, "x, m (y upwards)"));
   const colours = new Map(scene.classes.map((/** @type {any} */ one) => [one.name, one.colour]));
-  const step = Math.max(1, Math.ceil(states.length / MOST_STATES));
-  for (const track of all) {
-    const points = track.filter((_, index) => index % step === 0 || index === track.length - 1);
-    if (points.length > 1) root.append(s("path.line", { d: `M${points.map((state) => `${px(state.x_m).toFixed(1)} ${py(state.y_m).toFixed(1)}`).join("L")}`, stroke: colours.get(track[0].class) ?? "#888888", opacity: 0.75, "stroke-width": 1.3 }, s("title", null, `track ${track[0].track_id}, ${track[0].class}`)));
+  for (const path of found.paths) {
+    const colour = colours.get(path.class) ?? "#888888", name = s("title", null, `track ${path.track_id}, ${path.class}`);
+    if (path.x_m.length < 2) { root.append(s("circle", { cx: px(path.x_m[0]), cy: py(path.y_m[0]), r: 2.2, fill: colour, opacity: 0.75 }, name)); continue; }
+    const corners = path.x_m.map((/** @type {number} */ x, /** @type {number} */ index) => `${px(x).toFixed(1)} ${py(path.y_m[index]).toFixed(1)}`);
+    root.append(s("path.line", { d: `M${corners.join("L")}`, stroke: colour, opacity: 0.75, "stroke-width": 1.3 }, name));
   }
-  const present = [...new Set(all.map((track) => track[0].class))];
+  const present = [...new Set(found.paths.map((/** @type {any} */ path) => path.class))];
   return figure({
-    title: "Trajectories", caption: `${all.length} tracks; what lies beyond the outermost hundredth of all states is cut.`, key: present.map((name) => ({ name, colour: colours.get(name) ?? "#888888" })),
-    chart: root, columns: ["track_id", "class", "time_ns", "x_m", "y_m", "yaw_rad", "speed_mps"], rows: states.map((state) => [state.track_id, state.class, state.time_ns, state.x_m, state.y_m, state.yaw_rad, state.speed_mps]),
+    title: "Trajectories", caption: `${drawn < found.tracks ? `${drawn} of ${found.tracks}` : drawn} tracks, each to ${number(found.tolerance_m, 1)} m, dots where they stood; “Tracks” at the top of the page has every state. What lies beyond the outermost hundredth of all corners is cut.`,
+    key: present.map((name) => ({ name, colour: colours.get(name) ?? "#888888" })),
+    chart: root, columns: ["track_id", "class", "x_m", "y_m"], rows: found.paths.flatMap((/** @type {any} */ path) => path.x_m.map((/** @type {number} */ x, /** @type {number} */ index) => [path.track_id, path.class, x, path.y_m[index]])),
   });
 }

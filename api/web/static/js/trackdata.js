@@ -1,16 +1,31 @@
-// A job's tracks in the browser: states by instant, fetched page by page, and the filter that the API knows, too.
-import { get, query } from "./api.js";
-
-const PAGE = 50_000;
+// Tracks in the browser: states by instant, and the filter that the API knows, too.
 
 /**
- * @typedef {Object} State as `GET /v1/jobs/{id}/tracks` says it
+ * @typedef {Object} State of a road user at one time, rounded for drawing
  * @property {number} time_ns @property {number} track_id @property {string} class
  * @property {number} x_m @property {number} y_m @property {number} z_m
  * @property {number} length_m @property {number} width_m @property {number} height_m @property {number} yaw_rad
- * @property {number} speed_mps @property {number|null} sd_x_m @property {number|null} sd_y_m @property {number|null} sd_z_m
- * @property {number|null} sd_length_m @property {number|null} sd_width_m @property {number|null} sd_height_m @property {number|null} sd_yaw_rad
+ * @property {number} speed_mps
  */
+
+const NUMBERS = /** @type {const} */ (["x_m", "y_m", "z_m", "length_m", "width_m", "height_m", "yaw_rad", "speed_mps"]);
+
+/**
+ * States of what `GET /v1/jobs/{id}/tracks/compact` answers, sorted by time. A number that is the same in all states of a track stands there once.
+ * @param {any} compact @returns {State[]}
+ */
+export function statesOf(compact) {
+  /** @type {State[][]} */
+  const at = compact.times_ns.map(() => []);
+  for (const track of compact.tracks) {
+    track.at.forEach((/** @type {number} */ place, /** @type {number} */ row) => {
+      const state = /** @type {any} */ ({ time_ns: compact.times_ns[place], track_id: track.track_id, class: track.class });
+      for (const name of NUMBERS) state[name] = track[name].length === 1 ? track[name][0] : track[name][row];
+      at[place].push(state);
+    });
+  }
+  return at.flat();
+}
 
 /**
  * @typedef {Object} Filter
@@ -34,7 +49,7 @@ export function parameters(filter) {
   };
 }
 
-/** All states of a job. */
+/** States of a stretch of time. */
 export class Tracks {
   /** @param {State[]} states sorted by time */
   constructor(states) {
@@ -53,19 +68,6 @@ export class Tracks {
     }
   }
 
-  /** @param {string} jobId @param {(count: number) => void} progress @returns {Promise<Tracks>} */
-  static async load(jobId, progress) {
-    /** @type {State[]} */
-    const states = [];
-    for (let cursor = null; ;) {
-      const page = await get(`/v1/jobs/${jobId}/tracks${query({ limit: PAGE, cursor })}`);
-      states.push(...page.states);
-      progress(states.length);
-      cursor = page.next;
-      if (!cursor) return new Tracks(states);
-    }
-  }
-
   /** Index of the last instant at or before a time. @param {number} timeNs */
   indexAt(timeNs) {
     let low = 0, high = this.times.length;
@@ -75,6 +77,13 @@ export class Tracks {
       else high = middle;
     }
     return Math.max(0, low - 1);
+  }
+
+  /** Index of the instant nearest to a time; -1 where there is none within a limit. @param {number} timeNs @param {number} withinNs */
+  indexNear(timeNs, withinNs) {
+    const before = this.indexAt(timeNs), off = (/** @type {number} */ index) => Math.abs((this.times[index] ?? Infinity) - timeNs);
+    const best = off(before + 1) < off(before) ? before + 1 : before;
+    return off(best) <= withinNs ? best : -1;
   }
 
   /**

@@ -20,10 +20,11 @@ import { Camera } from "../projection.js";
 
 /** @typedef {import("../labelmodel.js").Vehicle} Vehicle */
 /** @typedef {import("../labeldraw.js").Grip} Grip */
-const FRAME_PX = 1280, SUGGESTED = 20, SNAP_M = 4, MOTION_S = 2.5, KEPT_MEASURES = 600;
+const FRAME_PX = 1280, SUGGESTED = 20, SNAP_M = 4, MOTION_S = 2.5, KEPT_MEASURES = 600, NEAR_NS = 1e6, FAR_NS = 1e9;
 let cameras = /** @type {Camera[]} */ ([]), classes = /** @type {any[]} */ ([]), colours = /** @type {Map<string, string>} */ (new Map());
-let stored = { times_ns: /** @type {number[]} */ ([]), frame_times_ns: /** @type {Object<string, Array<number|null>>} */ ({}) };
-let test = /** @type {number[]} */ ([]), listed = /** @type {number[]} */ ([]), labelled = /** @type {Map<number, any>} */ (new Map());
+/** Camera -> when it exposed its frame of the instant that is open. */
+let exposures = /** @type {Object<string, number|null>} */ ({});
+let parts = /** @type {Object<string, number[]>} */ ({}), test = /** @type {number[]} */ ([]), listed = /** @type {number[]} */ ([]), labelled = /** @type {Map<number, any>} */ (new Map());
 let timeNs = NaN, proposals = /** @type {Vehicle[]} */ ([]), seen = /** @type {Object<string, Object<number, number>>} */ ({});
 let store = /** @type {LabelStore|null} */ (null), placing = false, from = /** @type {{timeNs: number, boxes: Map<number, number[]>}|null} */ (null);
 let drag = /** @type {{grip: Grip, vehicle: Vehicle, at: number[]}|null} */ (null);
@@ -39,7 +40,7 @@ const setName = () => byId("set").value || "main";
 
 /** How much later than the instant a camera exposed its frame. @param {string} camera */
 function lateS(camera) {
-  const at = stored.frame_times_ns[camera]?.[stored.times_ns.indexOf(timeNs)];
+  const at = exposures[camera];
   return at === null || at === undefined ? 0 : (at - timeNs) / 1e9;
 }
 
@@ -104,6 +105,7 @@ async function open(time, copied = []) {
   await store?.flush();
   timeNs = time;
   proposals = [];
+  byId("saved").textContent = `loading ${clock(time / 1e9)} …`;
   const here = new LabelStore(jobId, setName(), time, {
     author: () => byId("author").value.trim() || "somebody",
     saved: (answer) => { takeSeen(answer); noteSaved(answer); redraw(); },
@@ -113,9 +115,10 @@ async function open(time, copied = []) {
   store = null;
   cache.want(neighbours(time).flatMap((at) => cameras.map((camera) => /** @type {[string, number]} */ ([camera.id, at]))));
   showFrames();
-  const [{ answer, draft }, proposed] = await Promise.all([here.open(), get(`/v1/jobs/${jobId}/labels/instants/${time}/proposal`)]);
+  const [{ answer, draft }, proposed, stored] = await Promise.all([here.open(), get(`/v1/jobs/${jobId}/labels/instants/${time}/proposal`), around(time, NEAR_NS)]);
   if (time !== timeNs) return;
   proposals = proposed;
+  exposures = Object.fromEntries(Object.entries(stored.frame_times_ns).map(([camera, times]) => [camera, times[stored.times_ns.indexOf(time)]]));
   if (!copied.length) from = null;
   const labels = draft ?? answer.labels;
   takeSeen(answer);
@@ -256,10 +259,6 @@ function step(by) {
   if (at >= 0 && at < listed.length) attempt(() => open(listed[at]));
 }
 
-function remove() {
-  model.remove();
-}
-
 /** @param {KeyboardEvent} event */
 function keys(event) {
   const tag = /** @type {Element} */ (event.target).tagName, typing = /^(INPUT|SELECT|TEXTAREA)$/.test(tag), control = event.ctrlKey || event.metaKey;
@@ -269,7 +268,7 @@ function keys(event) {
   const box = vehicle && !control && !readOnly ? boxAfterKey(vehicle.box, event) : null;
   const walk = /** @type {Object<string, () => void>} */ ({ ",": () => choose(-1), ".": () => choose(1), v: lookCloser, pageup: () => step(-1), pagedown: () => step(1) });
   const work = /** @type {Object<string, () => void>} */ ({
-    n: () => setPlacing(!placing), i: () => place(plan.centre), escape: () => (regions.drawn ? regions.drop() : setPlacing(false)), b: () => regions.begin("do_not_care"), o: () => regions.begin("hidden"), delete: remove, x: () => model.update({ ignored: !vehicle?.ignored }), f: snapToFit, p: takeProposals,
+    n: () => setPlacing(!placing), i: () => place(plan.centre), escape: () => (regions.drawn ? regions.drop() : setPlacing(false)), b: () => regions.begin("do_not_care"), o: () => regions.begin("hidden"), delete: () => model.remove(), x: () => model.update({ ignored: !vehicle?.ignored }), f: snapToFit, p: takeProposals,
     g: () => vehicle && model.update({ box: grounded(vehicle.box) }), r: turnAround, c: () => attempt(copyOn), enter: () => (regions.drawn ? regions.end() : finish()),
   });
   const undoing = /** @type {Object<string, () => void>} */ ({ z: () => (event.shiftKey ? model.redo() : model.undo()), y: () => model.redo() });
@@ -326,7 +325,7 @@ function listen() {
   const on = (/** @type {string} */ id, /** @type {() => any} */ work) => byId(id).addEventListener("click", () => { timer.act(model.chosen); attempt(async () => work()); });
   for (const [id, work] of /** @type {Array<[string, () => any]>} */ ([["before", () => step(-1)], ["after", () => step(1)], ["compare", () => showAgreement(setName(), byId("other").value)], ["closer", lookCloser]])) on(id, work);
   for (const [id, work] of /** @type {Array<[string, () => any]>} */ ([
-    ["propose", takeProposals], ["new", () => setPlacing(!placing)], ["undo", () => model.undo()], ["redo", () => model.redo()], ["copy", copyOn], ["finish", finish], ["remove", remove],
+    ["propose", takeProposals], ["new", () => setPlacing(!placing)], ["undo", () => model.undo()], ["redo", () => model.redo()], ["copy", copyOn], ["finish", finish], ["remove", () => model.remove()],
     ["snap", snapToFit], ["ground", () => model.current && model.update({ box: grounded(model.current.box) })], ["reverse", turnAround], ["evaluate", evaluate],
   ])) { on(id, work); byId(id).disabled = readOnly; }
   byId("instant").addEventListener("change", () => attempt(() => open(Number(byId("instant").value))));
@@ -343,30 +342,36 @@ function listen() {
   listenPlan();
 }
 
-/** The instant of this job nearest to a time, which an address may have from another job. @param {number} time */
-function nearest(time) {
-  return stored.times_ns.reduce((best, one) => (Math.abs(one - time) < Math.abs(best - time) ? one : best), stored.times_ns[0]);
+/** Stored instants about a time, and when each camera exposed its frames of them. @param {number} time @param {number} within ns @returns {Promise<any>} */
+function around(time, within) {
+  return get(`/v1/jobs/${jobId}/instants${query({ start_ns: time - within, end_ns: time + within })}`);
+}
+
+/** The instant of this job nearest to a time, which an address may have from another job. @param {number} time @returns {Promise<number>} */
+async function nearest(time) {
+  const close = (await around(time, FAR_NS)).times_ns, all = close.length ? close : Object.values(parts).flat();
+  return all.reduce((/** @type {number} */ best, /** @type {number} */ one) => (Math.abs(one - time) < Math.abs(best - time) ? one : best), all[0]);
 }
 
 async function loadList() {
-  const set = setName(), [summary, suggested, all] = await Promise.all([
-    get(`/v1/jobs/${jobId}/labels${query({ set })}`), get(`/v1/jobs/${jobId}/labels/suggestions${query({ set, count: SUGGESTED })}`), get(`/v1/jobs/${jobId}/labels/suggestions${query({ set, count: 500 })}`),
-  ]);
-  const own = new Set(stored.times_ns), here = (/** @type {any} */ one) => own.has(one.time_ns), elsewhere = summary.instants.filter((/** @type {any} */ one) => !here(one)).length;
-  labelled = new Map(summary.instants.filter(here).map((/** @type {any} */ one) => [one.time_ns, one]));
+  const set = setName(), [summary, suggested] = await Promise.all([get(`/v1/jobs/${jobId}/labels${query({ set })}`), get(`/v1/jobs/${jobId}/labels/suggestions${query({ set, count: SUGGESTED })}`)]);
+  const here = summary.instants.filter((/** @type {any} */ one) => one.in_job), elsewhere = summary.instants.length - here.length;
+  labelled = new Map(here.map((/** @type {any} */ one) => [one.time_ns, one]));
   byId("elsewhere").textContent = elsewhere ? `${elsewhere} more labelled instant${elsewhere === 1 ? " is" : "s are"} of another job of this footage, with other instants than this one's. They are kept, and shown and changed on that job's page.` : "";
   listed = suggested.map((/** @type {any} */ one) => one.time_ns);
-  test = [...new Set([...all.map((/** @type {any} */ one) => one.time_ns), ...labelled.keys()])].sort((a, b) => a - b);
-  if (Number.isNaN(timeNs)) timeNs = nearest(Number(new URLSearchParams(location.search).get("time_ns") ?? listed[0] ?? test[0] ?? stored.times_ns[0]));
+  test = [...new Set([...parts.test, ...labelled.keys()])].sort((a, b) => a - b);
+  const asked = new URLSearchParams(location.search).get("time_ns");
+  if (Number.isNaN(timeNs)) timeNs = asked === null ? (listed[0] ?? test[0] ?? Object.values(parts).flat()[0]) : await nearest(Number(asked));
   showList();
 }
 
 async function start() {
   const [, made] = await openJob();
   if (!["rig", "frames", "split", "fits"].every((name) => made.has(name))) { fill(byId("nothing"), message("plain", "there is nothing to label yet", "Instants can be labelled once the stage “Fit 7DoF boxes to all views” has finished.")); return; }
-  const [scene, found] = await Promise.all([made.scene(), get(`/v1/jobs/${jobId}/instants`)]);
-  stored = found;
-  if (!stored.times_ns.length) { fill(byId("nothing"), message("plain", "there is no instant to label", "The job has found no time at which cameras recorded together; Preflight says when each did.")); return; }
+  fill(byId("nothing"), h("p.note", { role: "status" }, "Loading instants and labels …"));
+  const [scene, split] = await Promise.all([made.scene(), made.document("split")]);
+  parts = split.times_ns;
+  if (!Object.values(parts).flat().length) { fill(byId("nothing"), message("plain", "there is no instant to label", "The job has found no time at which cameras recorded together; Preflight says when each did.")); return; }
   cameras = scene.cameras.map((/** @type {any} */ camera) => new Camera(camera));
   classes = scene.classes;
   colours = new Map(classes.map((one) => [one.name, one.colour]));
@@ -392,4 +397,4 @@ async function start() {
   await open(timeNs);
 }
 
-attempt(start);
+attempt(start).finally(() => byId("nothing").querySelector("[role=status]")?.remove());

@@ -6,7 +6,6 @@ import { jobId, openJob, readOnly } from "../jobtabs.js";
 import { residualFigure, trajectoryFigure } from "../placefigures.js";
 import { Camera } from "../projection.js";
 import { beforeAfter, cameras, clocks, clockWitnesses, selfConsistency, table } from "../resulttables.js";
-import { Tracks } from "../trackdata.js";
 import { amountFigures, dataFigures, qualityFigures, syncFigures, trainingFigures } from "../resultfigures.js";
 
 let made = new Results(jobId, []);
@@ -51,10 +50,9 @@ async function calibration() {
 }
 
 async function trajectories() {
-  const scene = await made.scene();
-  if (!scene || !(await made.answer("tracks", "/tracks?limit=1"))?.states.length) return false;
-  show("tracks", h("p.note", { role: "status" }, "Loading tracks …"));
-  show("tracks", figures([trajectoryFigure(scene, await Tracks.load(jobId, () => {}))]));
+  const [scene, found] = await Promise.all([made.scene(), made.answer("tracks", "/tracks/paths")]);
+  if (!scene || !found?.paths.length) return false;
+  show("tracks", figures([trajectoryFigure(scene, found)]));
   return true;
 }
 

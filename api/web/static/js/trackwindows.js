@@ -1,0 +1,127 @@
+// A job's tracks and the instants of its frames, a few seconds at a time: fetched before they are shown, forgotten afterwards.
+import { get, query } from "./api.js";
+import { statesOf, Tracks } from "./trackdata.js";
+
+/** How long a window is, how far frames may lie from what they are shown with, and when what failed is asked for again. */
+const WINDOW_NS = 4e9, MARGIN_NS = 200_000_000, AGAIN_MS = 3000;
+/** So many windows beyond what is needed are kept on both sides, for whoever goes back and forth. */
+const SPARE = 2;
+
+/**
+ * @typedef {Object} Part one window
+ * @property {import("./trackdata.js").State[]} states
+ * @property {number[]} instants of stored frames, those a little beyond its ends, too
+ * @property {Object<string, Array<number|null>>} exposures camera -> when it exposed the frame of each instant
+ */
+
+/** What is known of the time around the one that is shown. */
+export class TrackWindows {
+  /**
+   * @param {string} jobId @param {number} firstNs of all states @param {number} lastNs
+   * @param {{frames: boolean, arrived: () => void, failed: (error: unknown) => void}} page `frames`: whether any are stored; `arrived`: there is more to show
+   */
+  constructor(jobId, firstNs, lastNs, page) {
+    this.path = `/v1/jobs/${jobId}`;
+    this.firstNs = firstNs;
+    this.last = Math.floor((lastNs - firstNs) / WINDOW_NS);
+    this.page = page;
+    /** @type {Map<number, Part>} */
+    this.parts = new Map();
+    /** @type {Map<number, AbortController>} */
+    this.loading = new Map();
+    /** Nothing is asked for now, since it failed a moment ago; whether that was said. */
+    this.failing = this.said = false;
+    /** The windows that are joined in what follows, all in a row: the first, and the one after the last. */
+    this.joined = [0, 0];
+    this.tracks = new Tracks([]);
+    /** @type {number[]} */
+    this.instants = [];
+    /** @type {Object<string, Array<number|null>>} */
+    this.exposures = {};
+  }
+
+  /** @param {number} timeNs */
+  #number(timeNs) {
+    return Math.min(Math.max(Math.floor((timeNs - this.firstNs) / WINDOW_NS), 0), this.last);
+  }
+
+  /** Whether all that is known of a time is here. @param {number} timeNs */
+  has(timeNs) {
+    return this.parts.has(this.#number(timeNs));
+  }
+
+  /** Say which time is shown, and what is needed around it. @param {number} nowNs @param {number} fromNs @param {number} toNs */
+  want(nowNs, fromNs, toNs) {
+    const now = this.#number(nowNs), from = this.#number(fromNs), to = this.#number(toNs);
+    for (const [number, control] of this.loading) if (number < from || number > to) { control.abort(); this.loading.delete(number); }
+    for (const number of this.parts.keys()) if (number < from - SPARE || number > to + SPARE) this.parts.delete(number);
+    if (!this.failing) {
+      for (let by = 0; by <= to - from; by += 1) {
+        for (const number of by ? [now + by, now - by] : [now]) {
+          if (number >= from && number <= to && !this.parts.has(number) && !this.loading.has(number)) this.#load(number);
+        }
+      }
+    }
+    this.#join(now);
+  }
+
+  /** @param {number} number */
+  async #load(number) {
+    const control = new AbortController(), options = { signal: control.signal };
+    this.loading.set(number, control);
+    const start = this.firstNs + number * WINDOW_NS, end = start + WINDOW_NS;
+    try {
+      const [states, stored] = await Promise.all([
+        this.#states(start, end, options),
+        this.page.frames ? get(`${this.path}/instants${query({ start_ns: start - MARGIN_NS, end_ns: end + MARGIN_NS })}`, options) : { times_ns: [], frame_times_ns: {} },
+      ]);
+      if (control.signal.aborted) return;
+      this.parts.set(number, { states, instants: stored.times_ns, exposures: stored.frame_times_ns });
+      this.loading.delete(number);
+      this.said = false;
+      this.page.arrived();
+    } catch (error) {
+      if (control.signal.aborted) return;
+      this.loading.delete(number);
+      if (!this.said) this.page.failed(error);
+      this.failing = this.said = true;
+      setTimeout(() => { this.failing = false; this.page.arrived(); }, AGAIN_MS);
+    }
+  }
+
+  /** @param {number} start @param {number} end @param {{signal: AbortSignal}} options */
+  async #states(start, end, options) {
+    /** @type {import("./trackdata.js").State[]} */
+    const states = [];
+    for (let cursor = null; ;) {
+      const page = await get(`${this.path}/tracks/compact${query({ start_ns: start, end_ns: end, cursor })}`, options);
+      for (const state of statesOf(page)) states.push(state);
+      cursor = page.next;
+      if (!cursor) return states;
+    }
+  }
+
+  /** Put together all windows that follow each other around one. @param {number} now */
+  #join(now) {
+    let first = now, after = now;
+    while (this.parts.has(after)) after += 1;
+    while (after > now && this.parts.has(first - 1)) first -= 1;
+    if (this.joined[0] === first && this.joined[1] === after) return;
+    this.joined = [first, after];
+    const parts = [];
+    for (let number = first; number < after; number += 1) parts.push(/** @type {Part} */ (this.parts.get(number)));
+    this.tracks = new Tracks(parts.flatMap((part) => part.states));
+    this.instants = [];
+    this.exposures = {};
+    for (const part of parts) {
+      const last = this.instants.at(-1) ?? -Infinity, from = part.instants.findIndex((time) => time > last);
+      if (from < 0) continue;
+      const before = this.instants.length;
+      this.instants.push(...part.instants.slice(from));
+      for (const [camera, times] of Object.entries(part.exposures)) {
+        this.exposures[camera] ??= Array(before).fill(null);
+        this.exposures[camera].push(...times.slice(from));
+      }
+    }
+  }
+}
