@@ -85,15 +85,25 @@ class PnPCalibration(GivenIntrinsics):
     correspondences: Correspondences
 
 
-class HomographyCalibration(_Calibration):
-    """Ground points only (z = 0): focal length and pose follow from the homography (square pixels, centred)."""
+class _SolvedLens(_Calibration):
+    """A lens that is solved from points: its one focal length is that of square pixels.
+
+    ``pixel_aspect`` is the width of a pixel of the recording over its height: 1.333 where 960x720 px are shown as
+    1280x720.
+    """
+
+    pixel_aspect: float = Field(default=1.0, ge=0.25, le=4.0)
+
+
+class HomographyCalibration(_SolvedLens):
+    """Ground points only (z = 0): focal length and pose follow from the homography (principal point centred)."""
 
     kind: Literal["homography"] = "homography"
     correspondences: Correspondences
 
 
-class PointsCalibration(_Calibration):
-    """Points on the road and above it: focal length, k1 and pose follow from them (square pixels)."""
+class PointsCalibration(_SolvedLens):
+    """Points on the road and above it: focal length, k1 and pose follow from them."""
 
     kind: Literal["points"] = "points"
     correspondences: Correspondences

@@ -77,7 +77,7 @@ class CameraCovariance:
 def ground_moves(camera: Camera, ground: Array, unknowns: int = 6) -> Array:
     """(N, 2, unknowns) by how much the places where the pixels of points (N, 3) meet the level planes that these lie in
     move with the unknowns of `CameraCovariance.matrix`."""
-    jacobian = _jacobian(camera, ground).reshape(len(ground), 2, -1)[:, :, :unknowns]
+    jacobian = _jacobian(camera, ground).reshape(len(ground), 2, 10)[:, :, :unknowns]
     return np.asarray(np.linalg.solve(-jacobian[:, :, 3:5], jacobian))
 
 

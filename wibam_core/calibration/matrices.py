@@ -119,7 +119,8 @@ def build_camera(
         raise CalibrationError(
             f"the principal point ({camera.K[0, 2]:.0f}, {camera.K[1, 2]:.0f}) lies far outside the image of "
             f"{width_px}x{height_px} px",
-            hint=_INTRINSICS_HINT,
+            hint=f"{_INTRINSICS_HINT} By its principal point, K is that of about {2 * camera.K[0, 2]:.0f}x"
+            f"{2 * camera.K[1, 2]:.0f} px, such as a sensor's full size, of which a video may show a part.",
         )
     if camera.is_wide:
         _check_wide_lens(camera)
@@ -187,7 +188,7 @@ def intrinsics_cautions(camera: Camera, *, solved: bool = False) -> list[Caution
         )
     found += distortion_cautions(camera)
     ratio = float(K[0, 0] / K[1, 1])
-    if not 1 / _SQUARE <= ratio <= _SQUARE:
+    if not solved and not 1 / _SQUARE <= ratio <= _SQUARE:
         found.append(
             Caution(
                 code="focal_ratio",
@@ -251,7 +252,9 @@ def _check_lens(camera: Camera, steps: int = 41) -> None:
     rays = np.concatenate([camera.undistort(pixels), np.ones((len(pixels), 1))], axis=1)
     # OpenCV's formula as it is, which `Camera.project` follows only as far as it can be undone
     back, _ = cv2.projectPoints(rays, np.zeros(3), np.zeros(3), np.array(camera.K), np.array(camera.dist))
-    error_px = np.linalg.norm(back.reshape(-1, 2) - pixels, axis=1)
+    back = back.reshape(-1, 2)
+    back[:, 0] += camera.K[0, 1] / camera.K[1, 1] * (back[:, 1] - camera.K[1, 2])  # OpenCV's formula has no skew
+    error_px = np.linalg.norm(back - pixels, axis=1)
     bad = ~(error_px <= _ROUND_TRIP_PX)
     middle = np.array([camera.width_px - 1, camera.height_px - 1]) / 2
     share = np.linalg.norm(pixels - middle, axis=1) / np.hypot(camera.width_px / 2, camera.height_px / 2)

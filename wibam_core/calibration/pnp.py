@@ -56,8 +56,11 @@ def solve_pose(world: Array, pixels: Array, K: Array, dist: Array) -> PoseFit:
     Raises:
         CalibrationError: too few points, points on one line, or points behind the camera.
     """
-    lens = _Pinhole(np.array(K, dtype=np.float64), np.array(dist, dtype=np.float64))
-    return _solve(world, pixels, lens)
+    K = np.array(K, dtype=np.float64)
+    if K[0, 1]:  # OpenCV knows no skew: pixels are put where they would be without one
+        pixels = pixels - np.outer((pixels[:, 1] - K[1, 2]) / K[1, 1], [K[0, 1], 0.0])
+        K[0, 1] = 0.0
+    return _solve(world, pixels, _Pinhole(K, np.array(dist, dtype=np.float64)))
 
 
 def solve_wide_pose(world: Array, pixels: Array, lens: Camera) -> PoseFit:

@@ -13,14 +13,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from wibam_core.calibration.covariance import CameraCovariance, camera_covariance
-from wibam_core.calibration.homography import solve_ground_camera
+from wibam_core.calibration.homography import GroundFit, solve_ground_camera
 from wibam_core.calibration.matrices import build_camera, size_of_intrinsics
 from wibam_core.calibration.pnp import solve_pose, solve_wide_pose
 from wibam_core.calibration.points import ROAD_M
-from wibam_core.calibration.unknown_lens import LEAST_CLICK_PX, solve_unknown_lens
+from wibam_core.calibration.unknown_lens import LEAST_CLICK_PX, LensFit, solve_unknown_lens
 from wibam_core.calibration.view import is_plausible
 from wibam_core.errors import CalibrationError
 from wibam_core.geometry.camera import Camera
+from wibam_core.geometry.pixels import resized_intrinsics, resized_px, scale_of
 from wibam_core.geometry.se3 import SE3
 from wibam_core.site import Lens
 
@@ -59,6 +60,7 @@ class Sighting:
         dist: (n,) in OpenCV order.
         lens_model, xi: see `Camera`.
         solves_lens: without K, points may lie above the ground, and k1 is solved with the focal length.
+        pixel_aspect: without K, the width of a pixel over its height.
     """
 
     world: Array
@@ -70,6 +72,7 @@ class Sighting:
     lens_model: Lens = "pinhole"
     xi: float = 0.0
     solves_lens: bool = False
+    pixel_aspect: float = 1.0
 
     def lens(self, K: Array) -> Camera:
         """A camera with these intrinsics, at the world's origin.
@@ -89,18 +92,30 @@ class Sighting:
         Raises:
             CalibrationError: they fix none.
         """
-        if self.K is None and self.solves_lens:
-            whole = solve_unknown_lens(self.world, self.pixels, self.width_px, self.height_px, search=search)
-            return whole.camera, whole.used
         if self.K is None:
-            fit = solve_ground_camera(self.world[:, :2], self.pixels, self.width_px, self.height_px)
-            return fit.camera, fit.used
+            return self._solved_with_lens(search=search)
         lens = self.lens(self.K)
         if lens.is_wide:
             pose = solve_wide_pose(self.world, self.pixels, lens)
         else:
             pose = solve_pose(self.world, self.pixels, lens.K, lens.dist)
         return replace(lens, T_world_cam=pose.T_world_cam), pose.used
+
+    def _solved_with_lens(self, *, search: bool) -> tuple[Camera, NDArray[np.bool_]]:
+        """The lens with the pose: in a picture of square pixels, brought back to the recording's."""
+        size_px = self.width_px, self.height_px
+        wide_px = (max(round(self.width_px * self.pixel_aspect), 1), self.height_px)
+        scale = scale_of(size_px, wide_px)
+        pixels = resized_px(self.pixels, scale)
+        fit: LensFit | GroundFit
+        if self.solves_lens:
+            fit = solve_unknown_lens(self.world, pixels, *wide_px, search=search)
+        else:
+            fit = solve_ground_camera(self.world[:, :2], pixels, *wide_px)
+        if wide_px == size_px:
+            return fit.camera, fit.used
+        K = resized_intrinsics(fit.camera.K, 1 / scale)
+        return replace(fit.camera, K=K, width_px=self.width_px, height_px=self.height_px), fit.used
 
     def covariance(self, camera: Camera, used: NDArray[np.bool_]) -> CameraCovariance | None:
         """Of the camera that was solved from the points (N,) in use; None where they are too few to tell."""
@@ -220,6 +235,16 @@ def _readings(given: Sighting) -> Iterator[tuple[Reading, Sighting]]:
     )
     if given.K is not None:
         yield from _of_intrinsics(given, given.K)
+    elif given.solves_lens:
+        for aspect in _PIXEL_WIDTHS:
+            yield (
+                Reading(
+                    f"the points fit pixels that are {aspect:.3g} times as wide as high",
+                    f'Say "pixel_aspect": {aspect:.4g} in the calibration if the recording is squeezed so, or give the '
+                    "size that players show, and pixels as clicked there.",
+                ),
+                replace(given, pixel_aspect=given.pixel_aspect * aspect),
+            )
 
 
 def _of_heights(given: Sighting) -> Iterator[tuple[Reading, Sighting]]:
@@ -244,6 +269,15 @@ def _of_heights(given: Sighting) -> Iterator[tuple[Reading, Sighting]]:
 def _of_intrinsics(given: Sighting, K: Array) -> Iterator[tuple[Reading, Sighting]]:
     size = f"{given.width_px}x{given.height_px} px"
     of_K = size_of_intrinsics(K, given.width_px, given.height_px)
+    if np.abs(K[:2, 2]).max() < 1:
+        middle = np.array([given.width_px - 1, given.height_px - 1]) / 2
+        yield (
+            Reading(
+                "cx and cy in K count from the middle of the picture",
+                f"They count from its top left pixel: add {middle[0]:g} to cx and {middle[1]:g} to cy.",
+            ),
+            replace(given, K=K + np.array([[0, 0, middle[0]], [0, 0, middle[1]], [0, 0, 0]])),
+        )
     swapped = K.copy()
     swapped[:2, 2] = K[1, 2], K[0, 2]
     yield (
@@ -259,14 +293,17 @@ def _of_intrinsics(given: Sighting, K: Array) -> Iterator[tuple[Reading, Sightin
             ),
             replace(given, pixels=(given.pixels + 0.5) * ratio - 0.5),
         )
-    for width in _PIXEL_WIDTHS:
-        yield (
-            Reading(
-                f"the pixels fit a picture {width:.3g} times as wide: it was squeezed or stretched, and K was not",
-                f"K must be that of the recording as it is, {size}: scale fx and cx.",
-            ),
-            replace(given, pixels=np.stack([(given.pixels[:, 0] + 0.5) * width - 0.5, given.pixels[:, 1]], axis=1)),
-        )
+    for axis, extent, numbers in ((0, "wide", "fx and cx"), (1, "high", "fy and cy")):
+        for ratio in _PIXEL_WIDTHS:
+            scale = np.where(np.arange(2) == axis, ratio, 1.0)
+            yield (
+                Reading(
+                    f"the pixels fit a picture {ratio:.3g} times as {extent}: it was squeezed or stretched, and K "
+                    "was not",
+                    f"K must be that of the recording as it is, {size}: scale {numbers}.",
+                ),
+                replace(given, pixels=resized_px(given.pixels, scale)),
+            )
     if given.dist.any() or given.lens_model != "pinhole":
         yield (
             Reading(
@@ -274,6 +311,14 @@ def _of_intrinsics(given: Sighting, K: Array) -> Iterator[tuple[Reading, Sightin
                 "Leave dist out, and lens: the recording seems undistorted already.",
             ),
             replace(given, dist=np.zeros(0), lens_model="pinhole", xi=0.0),
+        )
+    if given.dist.any():
+        yield (
+            Reading(
+                "the points fit a lens that bends lines the other way: dist with all its signs changed",
+                "dist says how the lens bends the picture, as cv2.calibrateCamera gives it, not how to undo that.",
+            ),
+            replace(given, dist=-given.dist),
         )
     if given.dist.size in (0, 4) and given.lens_model != "fisheye":
         yield (

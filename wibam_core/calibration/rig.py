@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from wibam_core.calibration.matrices import camera_from_matrices, intrinsics_cautions
 from wibam_core.calibration.points import (
+    MIN_POINTS,
     check_on_ground,
     check_points,
     level_cautions,
@@ -35,6 +36,8 @@ Array = NDArray[np.float64]
 _GROUND_TOLERANCE_M = 0.01
 #: Clicks this close to the image, as a share of its longer side, are at its border.
 _BESIDE = 0.01
+#: Smaller pictures may be 100 px large.
+_LEAST_SIDE_PX = 200
 #: Mean misfits that clicks explain, and that they do not; between them, another reading of the numbers is a warning.
 _GOOD_PX = 1.0
 _BAD_PX = 5.0
@@ -104,8 +107,16 @@ def solve_camera(camera: SiteCamera, config: CalibrateConfig) -> Residuals:
         lens = np.array(given.K), np.array(given.dist), given.lens, given.xi
         sighting = Sighting(world, pixels, width_px, height_px, *lens)
     else:
-        solves_lens = isinstance(given, PointsCalibration)
-        sighting = Sighting(world, pixels, width_px, height_px, None, np.zeros(0), solves_lens=solves_lens)
+        sighting = Sighting(
+            world,
+            pixels,
+            width_px,
+            height_px,
+            None,
+            np.zeros(0),
+            solves_lens=isinstance(given, PointsCalibration),
+            pixel_aspect=given.pixel_aspect,
+        )
     beside = [*_check_pixels(sighting), *repeated_point_cautions(world, pixels)]
     if given.kind == "homography":
         check_on_ground(world, _GROUND_TOLERANCE_M)
@@ -183,10 +194,15 @@ def _check_pixels(sighting: Sighting) -> list[Caution]:
             f"all pixels lie between 0 and 1: they look like shares of the picture's width and height, {shown}",
             hint=f"Multiply u by {size[0]} and v by {size[1]}, and take half a pixel off both.",
         )
+    if len(pixels) and pixels.min() >= 0 and pixels.max() <= 100 and size.min() >= _LEAST_SIDE_PX:
+        raise CalibrationError(
+            f"all pixels lie between 0 and 100: they look like per cent of the picture's width and height, {shown}",
+            hint=f"Multiply u by {size[0] / 100:g} and v by {size[1] / 100:g}, and take half a pixel off both.",
+        )
     beyond = np.maximum(-0.5 - pixels, pixels - (size - 0.5)).max(axis=1, initial=-np.inf)
     outside = beyond > 0
     if not outside.any():
-        return []
+        return _in_corner(pixels, size)
     u, v = pixels[int(beyond.argmax())]
     message = f"{int(outside.sum())} of {len(pixels)} pixels lie outside the image of {shown}, e.g. ({u:.0f}, {v:.0f})"
     hint = (
@@ -196,10 +212,39 @@ def _check_pixels(sighting: Sighting) -> list[Caution]:
     if beyond.max() > _BESIDE * size.max():
         problem = CalibrationError(message, hint=hint)
         if (pixels.min(axis=0) < 0).all() and (np.abs(pixels) <= size / 2).all():
-            hint = f"They look counted from the middle: add {(size[0] - 1) / 2:g} to u and {(size[1] - 1) / 2:g} to v."
-            raise CalibrationError(message, hint=hint)
+            raise CalibrationError(message, hint=_from_middle(sighting))
         raise _meant(better_reading(sighting), problem)
     return [Caution(code="pixels_outside", message=message, hint=hint, details={"pixels": int(outside.sum())})]
+
+
+def _in_corner(pixels: Array, size: Array) -> list[Caution]:
+    """Whether pixels (N, 2) lie as those of a picture of half the size would."""
+    if len(pixels) < MIN_POINTS or (pixels.max(axis=0) > size / 2).any():
+        return []
+    return [
+        Caution(
+            code="pixels_in_corner",
+            message=f"all {len(pixels)} pixels lie in the upper left quarter of {size[0]}x{size[1]} px",
+            hint="Were they clicked in a smaller picture? Scale them to the recording's size; if the road is there "
+            "alone, all is well.",
+        )
+    ]
+
+
+def _from_middle(sighting: Sighting) -> str:
+    """What to do with pixels that are counted from the middle of the picture, rightwards, and downwards or upwards."""
+    middle = np.array([sighting.width_px - 1, sighting.height_px - 1]) / 2
+    misfits_px = []
+    for sign in (1.0, -1.0):
+        read = replace(sighting, pixels=sighting.pixels * [1.0, sign] + middle)
+        try:
+            camera, _ = read.solve(search=False)
+            misfits_px.append(read.misfit_px(camera) if is_plausible(camera) else np.inf)
+        except CalibrationError:
+            misfits_px.append(np.inf)
+    if misfits_px[1] < misfits_px[0]:
+        return f"They look counted from the middle, and upwards: add {middle[0]:g} to u, and take v from {middle[1]:g}."
+    return f"They look counted from the middle: add {middle[0]:g} to u and {middle[1]:g} to v."
 
 
 def _check_shown(lens: Camera, pixels: Array) -> None:

@@ -22,6 +22,7 @@ _USUAL_HEIGHTS_M = (3.0, 15.0)
 _UNITS_M = (
     ("kilometres", 1000.0),
     ("feet", 0.3048),
+    ("decimetres", 0.1),
     ("inches", 0.0254),
     ("centimetres", 0.01),
     ("millimetres", 0.001),

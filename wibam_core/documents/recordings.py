@@ -108,6 +108,8 @@ class VideoInfo(Document):
     """Width and height as stored, turned as shown, where the pictures were brought to another size."""
     pixel_aspect: float = 1.0
     """Width of a stored pixel over its height."""
+    aspect_stated: bool = True
+    """Whether the file says that; else pixels were taken to be square."""
     size_changes: list[SizeChange] = Field(default_factory=list)
     """Where the size changes midway; all pictures are brought to one size."""
     rate_changes: list[RateChange] = Field(default_factory=list)

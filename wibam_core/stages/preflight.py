@@ -15,12 +15,20 @@ from wibam_core.documents.recordings import Limits, Probe, VideoInfo
 from wibam_core.documents.warnings import Caution
 from wibam_core.errors import InputError, InvalidWeights, MissingCamera, NoOverlap, UnreadableVideo
 from wibam_core.formats.labels import read_labels
-from wibam_core.site import SiteCamera
+from wibam_core.site import HomographyCalibration, PointsCalibration, SiteCamera
 from wibam_core.stages.base import StageContext, Summary
 from wibam_core.stages.store import sha256_of
 from wibam_core.video.cautions import cautions_of
 from wibam_core.video.probe import measure
 from wibam_core.video.recording import Recording, RecordingFile
+
+#: Aspects of pixels that differ by this share are one and the same.
+_ASPECT_TOLERANCE = 0.01
+#: Sizes of pictures of analogue cameras, DVDs and HDV, which players show wider or narrower than they are stored.
+_SQUEEZED_PX = {
+    *((720, 576), (704, 576), (720, 480), (704, 480), (352, 288), (352, 240), (352, 576), (352, 480), (480, 576)),
+    *((960, 576), (960, 480), (928, 576), (928, 480), (944, 576), (1440, 1080)),
+}
 
 
 def run(context: StageContext, config: PreflightConfig) -> Summary:
@@ -51,6 +59,7 @@ def run(context: StageContext, config: PreflightConfig) -> Summary:
         context.progress(number / len(context.site.cameras), f"camera {camera.id}")
         info, times[camera.id] = _measure(camera, context.recordings[camera.id])
         _check_size(camera, info)
+        _check_pixels(camera, info)
         if info.duration_s < config.min_overlap_s:
             raise NoOverlap(
                 f"the recording of camera {camera.id} lasts {info.duration_s:.1f} s; it must share at least "
@@ -63,8 +72,9 @@ def run(context: StageContext, config: PreflightConfig) -> Summary:
     context.write(TIMESTAMPS, times)
     context.write(LIMITS, Limits(min_overlap_s=config.min_overlap_s))
     context.warn(*_same_files(context.recordings))
-    for camera_id, info in infos.items():
-        context.warn(*(caution.of_camera(camera_id) for caution in cautions_of(info)))
+    for camera in context.site.cameras:
+        info = infos[camera.id]
+        context.warn(*(each.of_camera(camera.id) for each in (*cautions_of(info), *_pixel_cautions(camera, info))))
     context.progress(1.0)
     return {
         "cameras": {
@@ -142,3 +152,67 @@ def _check_size(camera: SiteCamera, info: VideoInfo) -> None:
         recording_px=[info.width_px, info.height_px],
         site_px=[camera.width_px, camera.height_px],
     )
+
+
+def _aspect_used(info: VideoInfo) -> float:
+    """Width of a pixel over its height, in the pictures as they are used."""
+    if info.stored_px is not None:
+        return 1.0
+    return info.pixel_aspect if info.rotation_deg % 180 == 0 else 1 / info.pixel_aspect
+
+
+def _check_pixels(camera: SiteCamera, info: VideoInfo) -> None:
+    """Raises:
+    InputError: the focal length is solved for pixels of another shape than the recording's.
+    """
+    given, found = camera.calibration, _aspect_used(info)
+    if not isinstance(given, HomographyCalibration | PointsCalibration) or not info.aspect_stated:
+        return
+    if abs(given.pixel_aspect / found - 1) <= _ASPECT_TOLERANCE:
+        return
+    if info.stored_px is not None:
+        raise InputError(
+            f"camera {camera.id}: pixel_aspect is {given.pixel_aspect:.4g}, but its recording is stretched to the size "
+            f"that players show, {info.width_px}x{info.height_px} px, where pixels are square",
+            hint="Leave pixel_aspect out, or give the size as stored and pixels in it.",
+            camera=camera.id,
+        )
+    if given.pixel_aspect == 1:
+        width, height = info.width_px, info.height_px
+        shown = (round(width * found), height) if found > 1 else (width, round(height / found))
+        raise InputError(
+            f"the calibration of camera {camera.id} takes pixels to be square, and those of its recording are "
+            f"{found:.4g} times as wide as high",
+            hint=f'Say "pixel_aspect": {found:.4g} in its calibration, or give the size that players show, '
+            f"{shown[0]}x{shown[1]} px, and pixels as clicked there.",
+            camera=camera.id,
+            pixel_aspect=found,
+        )
+
+
+def _pixel_cautions(camera: SiteCamera, info: VideoInfo) -> list[Caution]:
+    """That a focal length is solved for pixels of a shape that the file contradicts, or that pictures of such a size
+    hardly have."""
+    given, size_px = camera.calibration, (info.width_px, info.height_px)
+    if not isinstance(given, HomographyCalibration | PointsCalibration):
+        return []
+    if info.aspect_stated and abs(given.pixel_aspect / _aspect_used(info) - 1) > _ASPECT_TOLERANCE:
+        return [
+            Caution(
+                code="pixel_aspect",
+                message=f"its pixels are {given.pixel_aspect:.4g} times as wide as high by its calibration, and "
+                f"{_aspect_used(info):.4g} times by its file; the calibration is believed",
+                hint="Look at a wheel from the side in the picture as it is stored: by how much is it wider than high?",
+            )
+        ]
+    if given.pixel_aspect != 1 or info.aspect_stated or size_px not in _SQUEEZED_PX:
+        return []
+    return [
+        Caution(
+            code="pixels_perhaps_not_square",
+            message=f"its file does not say how wide its pixels are, and pictures of {size_px[0]}x{size_px[1]} px are "
+            "mostly shown wider or narrower; square pixels were assumed",
+            hint='If wheels look squeezed from the side, say "pixel_aspect" in its calibration: the width of a pixel '
+            "over its height, such as 1.333.",
+        )
+    ]

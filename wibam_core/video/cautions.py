@@ -187,8 +187,8 @@ def _of_pictures(info: VideoInfo) -> Iterator[Caution]:
             code="pixels_not_square",
             message=f"its pixels are {info.pixel_aspect:.3f} times as wide as high, and the picture is used as stored, "
             f"{info.width_px}x{info.height_px} px",
-            hint="A calibration from a player's picture does not fit it; one that assumes square pixels "
-            "(homography) does not fit at all. Give the size of the picture that was calibrated.",
+            hint="A calibration from a player's picture does not fit it: give the size of the picture that was "
+            "calibrated.",
             details={"pixel_aspect": info.pixel_aspect},
         )
     if info.interlaced:

@@ -62,6 +62,7 @@ class Look:
     Attributes:
         stored_px: width and height as stored.
         pixel_aspect: width of a stored pixel over its height, when shown.
+        aspect_stated: whether the file says that; else it is 1.
         high_range: its brightness is coded for high dynamic range.
     """
 
@@ -70,6 +71,7 @@ class Look:
     pixel_aspect: Fraction
     interlaced: bool
     high_range: bool
+    aspect_stated: bool = True
 
     @property
     def upright_px(self) -> Size:
@@ -345,13 +347,14 @@ def look_of(frame: VideoFrame, stream: VideoStream, orientations: Orientations) 
     Raises:
         UnreadableVideo: it is shown turned by something else than quarters.
     """
-    aspect = stream.sample_aspect_ratio or stream.codec_context.sample_aspect_ratio or Fraction(1)
+    aspect = stream.sample_aspect_ratio or stream.codec_context.sample_aspect_ratio or Fraction(0)
     return Look(
         (frame.width, frame.height),
         orientations.of(frame),
         Fraction(aspect) if aspect > 0 else Fraction(1),
         bool(frame.interlaced_frame),
         int(frame.color_trc) in (16, 18),  # SMPTE ST 2084, ARIB STD-B67 (ITU-T H.273)
+        aspect > 0,
     )
 
 

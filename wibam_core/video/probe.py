@@ -100,6 +100,7 @@ def measure(recording: Path | Recording, size_px: Size | None = None) -> tuple[V
         mirrored=first.orientation.mirrored,
         stored_px=None if first.upright_px == (width, height) else first.upright_px,
         pixel_aspect=float(first.pixel_aspect),
+        aspect_stated=first.aspect_stated,
         size_changes=changes,
         rate_changes=_rate_changes(timeline),
         interlaced=any(look.interlaced for _, look in looks),

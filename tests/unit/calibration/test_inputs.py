@@ -182,6 +182,69 @@ def test_points_that_fit_poorly_are_warned_of():
     assert caution.details["median_px"] == result.median_px
 
 
+@pytest.mark.parametrize("kind", ["homography", "points"])
+@pytest.mark.parametrize("axis", [0, 1])
+def test_pixels_that_are_not_square_are_solved_for_where_they_are_said(kind, axis):
+    scale = np.where(np.arange(2) == axis, 0.75, 1.0)
+    points = points_for(kind)
+    pixels = (clicked(points) + 0.5) * scale - 0.5
+    given = entry(kind, points, pixels, CAMERA).model_dump(mode="json")
+    given["width_px"], given["height_px"] = (np.array([640, 360]) * scale).astype(int).tolist()
+    given["calibration"]["pixel_aspect"] = 1 / 0.75 if axis == 0 else 0.75
+    result = solve_camera(SiteCamera.model_validate(given), CONFIG)
+    np.testing.assert_allclose(result.camera.centre_m, CAMERA.centre_m, atol=0.3)
+    np.testing.assert_allclose(result.camera.K[[0, 1], [0, 1]] / scale, 700.0, rtol=0.03)
+    assert result.cautions == ()
+
+
+@pytest.mark.parametrize("axis", [0, 1])
+def test_pixels_that_are_not_square_are_named_where_raised_points_show_it(axis):
+    pixels = (clicked(RAISED) + 0.5) * np.where(np.arange(2) == axis, 0.75, 1.0) - 0.5
+    assert '"pixel_aspect"' in refused(entry("points", RAISED, pixels))
+    assert "times as " + ("wide", "high")[axis] in refused(entry("pnp", RAISED, pixels))
+
+
+def test_the_skew_of_K_counts_and_that_of_another_lens_is_seen():
+    K = np.array(CAMERA.K)
+    K[0, 1] = 40.0
+    skewed = Camera(K, CAMERA.dist, CAMERA.T_world_cam, 640, 360)
+    result = solve_camera(entry("pnp", RAISED, clicked(RAISED, skewed), skewed), CONFIG)
+    np.testing.assert_allclose(result.camera.centre_m, CAMERA.centre_m, atol=0.1)
+    assert result.cautions == ()
+
+
+def test_coefficients_with_their_signs_changed_are_refused_by_name():
+    lens = look_at((-20.0, -15.0, 8.0), focal_px=450.0)
+    bent = Camera(lens.K, np.array([-0.3, 0.09, 0.0, 0.0]), lens.T_world_cam, 640, 360)
+    wide = np.concatenate([1.4 * RAISED, [[-14.0, 9.0, 3.0], [13.0, -9.0, 2.0], [-2.0, 16.0, 5.0]]])
+    given = entry("pnp", wide, clicked(wide, bent), bent, dist=[0.3, -0.09, 0.0, 0.0])
+    assert "signs changed" in refused(given)
+
+
+def test_a_principal_point_that_counts_from_the_middle_is_refused_by_name():
+    K = np.diag([700.0, 700.0, 1.0])
+    assert "count from the middle" in refused(entry("pnp", RAISED, clicked(RAISED), K=K.tolist()))
+
+
+@BOTH
+def test_pixels_that_count_from_the_middle_upwards_or_in_per_cent_are_refused_by_name(kind):
+    points = points_for(kind)
+    middle = np.array([CAMERA.width_px - 1, CAMERA.height_px - 1]) / 2
+    up = (clicked(points) - middle) * [1, -1]
+    assert "upwards: add 319.5 to u, and take v from 179.5" in refused(entry(kind, points, up))
+    share = 100 * (clicked(points) + 0.5) / [640, 360]
+    assert "per cent" in refused(entry(kind, points, share))
+
+
+@BOTH
+def test_a_camera_as_high_as_decimetres_make_it_is_said_with_the_factor(kind):
+    points = points_for(kind)
+    result = solve_camera(entry(kind, 10 * points, clicked(points)), CONFIG)
+    [caution] = result.cautions
+    assert caution.code == "camera_height" and "decimetres, multiply them by 0.1" in caution.hint
+    assert result.document().ground_sd_m is None
+
+
 def test_heights_of_a_sloping_road_above_the_sea_are_refused_with_the_offset_for_a_homography():
     sloping = GROUND + np.array([0.0, 0.0, 1.0]) * (34.0 + 0.1 * GROUND[:, :1])
     assert "off every z" in refused(entry("homography", sloping, clicked(GROUND)))
@@ -189,7 +252,7 @@ def test_heights_of_a_sloping_road_above_the_sea_are_refused_with_the_offset_for
 
 def test_pixels_of_a_smaller_picture_fit_ground_points_poorly():
     pixels = (clicked(GROUND) + 0.5) / 2 - 0.5
-    assert "poor_fit" in codes(solve_camera(entry("homography", GROUND, pixels), CONFIG))
+    assert {"poor_fit", "pixels_in_corner"} <= set(codes(solve_camera(entry("homography", GROUND, pixels), CONFIG)))
 
 
 def test_a_principal_point_far_off_is_blamed_on_what_was_given():
@@ -224,9 +287,8 @@ def test_intrinsics_of_another_resolution_are_refused_with_that_resolution(scale
 def test_intrinsics_and_pixels_of_another_resolution_are_warned_of():
     K = np.diag([0.5, 0.5, 1.0]) @ CAMERA.K
     result = solve_camera(entry("pnp", RAISED, (clicked(RAISED) + 0.5) / 2 - 0.5, K=K.tolist()), CONFIG)
-    [caution] = result.cautions
-    assert caution.code == "principal_point"
-    assert "320x180" in caution.hint
+    assert codes(result) == ["pixels_in_corner", "principal_point"]
+    assert "320x180" in result.cautions[1].hint
 
 
 def test_a_squeezed_picture_is_refused_by_name():

@@ -106,6 +106,8 @@ def describe(
     if correspondences:
         kind = "pnp" if intrinsics else "points" if _solves_lens(old, correspondences) else "homography"
         calibration = {"kind": kind, **intrinsics, "correspondences": correspondences}
+        if not intrinsics and isinstance(old, HomographyCalibration | PointsCalibration):
+            calibration["pixel_aspect"] = old.pixel_aspect
         if posed is not None:
             notes.append("The pose in the files is left out: it follows from the points.")
     elif posed is not None and posed.rvec is not None and posed.tvec is not None and intrinsics:
