@@ -316,3 +316,13 @@ def _check_region(camera: SiteCamera, signal: SignalRegion) -> None:
             camera=camera.id,
             signal=signal.id,
         )
+    across = min(round(x + width), camera.width_px) - max(round(x), 0)
+    down = min(round(y + height), camera.height_px) - max(round(y), 0)
+    if min(across, down) < 2 or max(across, down) < 4:
+        shares = max(x + width, y + height) <= 1
+        raise SiteFileError(
+            f"{shown} has less than 2 x 4 px in the image of {camera.width_px}x{camera.height_px} px",
+            hint=f"{hint} Are these shares of its width and height?" if shares else hint,
+            camera=camera.id,
+            signal=signal.id,
+        )

@@ -19,6 +19,7 @@ from wibam_core.stages.passing import Passing
 from wibam_core.sync.changes import SignalWatch
 from wibam_core.sync.document import LEAST_SHARE, ambiguities, doubts, sync_document
 from wibam_core.sync.paths import GroundPath
+from wibam_core.sync.regions import region_cautions, unseen_cautions
 from wibam_core.sync.segments import InSegments, Span, synchronise_segments
 
 #: What places a segment no better than to a second.
@@ -57,6 +58,11 @@ def run(context: StageContext, config: SyncConfig) -> Summary:
     result = by_camera.result
     document = sync_document(changes, result, by_camera.traffic, by_camera.disagreeing, found.placed, found.assumed)
     cautions = [*ambiguities(document), *doubts(document, config.max_offset_s)]
+    if watches:
+        cautions += [
+            *region_cautions(context.site),
+            *unseen_cautions(context.site, changes, _confident(changes, config)),
+        ]
     context.write(CLOCKS, Clocks(result.clocks, result.errors))
     context.write(CHANGES, document)
     context.warn(*cautions)
