@@ -9,17 +9,33 @@ or ``labels.json`` (hand labels, for evaluation alone), ``detector.onnx`` (a 2D 
 
 from __future__ import annotations
 
+import re
+from difflib import get_close_matches
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated, Any, Literal
 
 import pydantic
-from pydantic import BaseModel, ConfigDict, FailFast, Field
+from pydantic import BaseModel, BeforeValidator, ConfigDict, FailFast, Field
+from pydantic_core import PydanticCustomError
 
 from wibam_core.errors import SiteFileError
 from wibam_core.text import NotJson, NotUnicode, decode_text, read_json
 
+_ID = r"^[A-Za-z0-9][A-Za-z0-9_-]{0,63}$"
+
+
+def _plain_id(given: Any) -> Any:
+    if isinstance(given, str) and not re.match(_ID, given):
+        raise PydanticCustomError(
+            "plain_id",
+            "an id begins with a letter from a to z or a digit, has these, - and _ alone, 64 at most: {given}",
+            {"given": repr(given[:80])},
+        )
+    return given
+
+
 #: Ids become file names inside our own folders, so they are plain.
-CameraId = Annotated[str, Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9_-]{0,63}$")]
+CameraId = Annotated[str, Field(pattern=_ID), BeforeValidator(_plain_id)]
 #: Larger than anything that is measured here: a UTM northing in centimetres has nine digits.
 Number = Annotated[float, Field(ge=-1e10, le=1e10)]
 Row3 = tuple[Number, Number, Number]
@@ -30,8 +46,42 @@ Distortion = Annotated[tuple[Number, ...], Field(max_length=14), FailFast()]
 Lens = Literal["pinhole", "fisheye", "omnidirectional"]
 
 
+#: What other programs, and people, call fields.
+_OTHERWISE = {
+    "distortion": "dist",
+    "dist_coeffs": "dist",
+    "intrinsics": "K",
+    "camera_matrix": "K",
+    "r": "rvec",
+    "rotation": "rvec",
+    "t": "tvec",
+    "translation": "tvec",
+    "lens_model": "lens",
+    "points": "correspondences",
+    "roi": "region",
+    "bbox": "region",
+}
+
+
 class _Model(BaseModel):
     model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
+
+    @pydantic.model_validator(mode="before")
+    @classmethod
+    def _known_fields(cls, given: Any) -> Any:
+        """Name a field that there is not before one that is missing, which it may stand for."""
+        unknown = [name for name in given if name not in cls.model_fields] if isinstance(given, dict) else []
+        if not unknown:
+            return given
+        name = str(unknown[0])
+        by_letters = {field.lower(): field for field in cls.model_fields}
+        near = get_close_matches(name.lower(), by_letters, 1)
+        meant = _OTHERWISE.get(name.lower(), by_letters[near[0]] if near else None)
+        raise PydanticCustomError(
+            "unknown_field",
+            "there is no field {name} here{meant}",
+            {"name": repr(name[:80]), "meant": f"; is {meant} meant?" if meant in cls.model_fields else ""},
+        )
 
 
 class SignalRegion(_Model):
@@ -183,7 +233,9 @@ class Site(_Model):
     def _unique_ids(self) -> Site:
         ids = [camera.id for camera in self.cameras]
         if len({i.lower() for i in ids}) != len(ids):
-            raise ValueError(f"camera ids must differ (letter case aside): {ids}")
+            raise PydanticCustomError(
+                "same_id", "camera ids must differ (letter case aside): {ids}", {"ids": ", ".join(ids)}
+            )
         return self
 
     def check(self) -> None:

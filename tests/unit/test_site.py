@@ -25,7 +25,7 @@ def test_a_site_survives_json() -> None:
         (lambda s: s["cameras"][0].update(id="../etc"), r"cameras\.0\.id"),
         (lambda s: s["cameras"][1].update(id="CAM1"), "must differ"),
         (lambda s: s.update(cameras=[]), "cameras"),
-        (lambda s: s["cameras"][0].update(lens="wide"), r"cameras\.0\.lens"),
+        (lambda s: s["cameras"][0].update(lens="wide"), r"cameras\.0: there is no field 'lens'"),
         (lambda s: s["cameras"][0]["calibration"].update(kind="magic"), r"cameras\.0\.calibration"),
         (lambda s: s["cameras"][0]["calibration"]["tvec"].__setitem__(0, None), "tvec"),
     ],
@@ -121,3 +121,33 @@ def test_a_site_may_say_where_it_lies() -> None:
     }
     site = Site.parse(json.dumps({**json.loads(site_of().model_dump_json()), "origin": origin}))
     assert site.origin is not None and site.origin.model_dump() == origin
+
+
+@pytest.mark.parametrize(
+    ("field", "value", "words"),
+    [
+        ("id", "S\u00fcd", "letter from a to z"),
+        ("signal", [], "there is no field 'signal' here; is signals meant?"),
+        ("Width_px", 640, "is width_px meant?"),
+        ("colour", "red", "there is no field 'colour' here$"),
+    ],
+)
+def test_what_no_camera_has_is_named_with_what_may_be_meant(field: str, value: object, words: str) -> None:
+    camera = {
+        "id": "a",
+        "width_px": 640,
+        "height_px": 360,
+        "calibration": {"kind": "homography", "correspondences": []},
+    }
+    with pytest.raises(SiteFileError, match=words):
+        Site.parse(json.dumps({"name": "t", "cameras": [camera | {field: value}]}))
+
+
+@pytest.mark.parametrize(
+    ("field", "meant"), [("distortion", "dist"), ("k", "K"), ("R", "rvec"), ("lens_model", "lens")]
+)
+def test_fields_that_other_programs_call_otherwise_are_named(field: str, meant: str) -> None:
+    calibration = {"kind": "matrices", "K": [[600, 0, 320], [0, 600, 180], [0, 0, 1]], "tvec": [0, 2, 15], field: 1}
+    camera = {"id": "a", "width_px": 640, "height_px": 360, "calibration": calibration}
+    with pytest.raises(SiteFileError, match=f"'{field}' here; is {meant} meant"):
+        Site.parse(json.dumps({"name": "t", "cameras": [camera]}))

@@ -21,14 +21,20 @@ from scipy.linalg import cho_factor, cho_solve
 
 Array = NDArray[np.float64]
 IntArray = NDArray[np.int64]
+BoolArray = NDArray[np.bool_]
 
 #: Samples of one road user closer than this share their errors: one of them is taken.
 _APART_S = 0.6
 #: Biases are alike within about this distance; the field is a sum of bumps so far apart, m.
 _BUMP_M = 12.0
-#: Of a bias' variance, how much is the same everywhere, and how much more depends on the axis of the vehicle.
-_EVERYWHERE = 0.5
+#: Of a bias' variance, how much more depends on the axis of the vehicle.
 _BY_AXIS = 0.5
+#: Of the variance of biases that differ from place to place, in that of what is tried.
+_FROM_PLACE_TO_PLACE = 0.5
+#: What is tried: the standard deviation of what cameras disagree by everywhere alike, m, and what it usually is. It
+#: looks like a clock that is off where all traffic goes one way at one speed; across that way it tells its size.
+_SHIFT_M = (0.1, 0.3, 0.9)
+_USUAL_SHIFT_M = 0.3
 #: A road user that is slower than this has no axis, m/s.
 _LEAST_SPEED_MPS = 2.0
 #: What is tried: the standard deviation of a road user's own error, and of the biases, in those of a sample.
@@ -104,11 +110,18 @@ def solve(samples: Samples, centre_s: float, drift: float) -> tuple[Array, Array
         design[:, k, 2 + k * width : 2 + (k + 1) * width] = field / scale
     # first = second + offset: where the first is truly at second + offset + e, it was compared e too early.
     observed = -samples.apart_m / scale
+    everywhere = np.zeros(2 + 2 * width, dtype=bool)
+    everywhere[[2 + k * width + axis * (width // 3) for k in (0, 1) for axis in range(3)]] = True
     first = np.flatnonzero(np.diff(samples.road_user, prepend=-1))
-    model = _Model.of(design, observed, _own(samples), first, np.array([0.0, -drift]))
+    model = _Model.of(design, observed, _own(samples), first, np.array([0.0, -drift]), everywhere)
     weight = np.ones(len(first))
     for _ in range(_ROUNDS):
-        tried = [one.solved(spread) for one in (model.without_own(weight, own) for own in _OWN) for spread in _FIELD]
+        tried = [
+            one.solved(spread, shift_m)
+            for one in (model.without_own(weight, own) for own in _OWN)
+            for spread in _FIELD
+            for shift_m in _SHIFT_M
+        ]
         odds = np.exp([one.likely - max(other.likely for other in tried) for one in tried])
         odds /= odds.sum()
         solution = np.tensordot(odds, [one.solution for one in tried], 1)
@@ -139,6 +152,7 @@ class _Model:
         own: (G, E, E), own_design: (G, E, U), own_right: (G, E): ``ZᵀZ``, ``ZᵀA``, ``Zᵀb``, where Z is what its own
             errors do to its samples.
         sizes: (G,) samples. told: (2,) what is known of the clock before.
+        everywhere: (U,) which of the unknowns are biases that are the same everywhere.
     """
 
     squares: Array
@@ -149,9 +163,10 @@ class _Model:
     own_right: Array
     sizes: IntArray
     told: Array
+    everywhere: BoolArray
 
     @classmethod
-    def of(cls, A: Array, b: Array, Z: Array, first: IntArray, told: Array) -> _Model:
+    def of(cls, A: Array, b: Array, Z: Array, first: IntArray, told: Array, everywhere: BoolArray) -> _Model:
         """From design (N, 2, U), what is observed (N, 2), own errors (N, 2, E) and each road user's first sample."""
         bounds = [*first.tolist(), len(b)]
         parts = [
@@ -167,6 +182,7 @@ class _Model:
             own_right=np.array([z.T @ y for _, y, z in parts]),
             sizes=np.diff(bounds),
             told=told,
+            everywhere=everywhere,
         )
 
     def without_own(self, weight: Array, own: float) -> _Reduced:
@@ -188,6 +204,7 @@ class _Model:
             complexity=weight @ np.linalg.slogdet(np.eye(self.own.shape[1]) + own**2 * self.own)[1],
             own=own,
             told=self.told,
+            everywhere=self.everywhere,
         )
 
 
@@ -200,7 +217,7 @@ class _Reduced:
         count: of observed coordinates, by weight.
         complexity: what that size costs in likelihood.
         own: the size.
-        told: (2,) what is known of the clock before.
+        told, everywhere: as of `_Model`.
     """
 
     squares: Array
@@ -210,13 +227,15 @@ class _Reduced:
     complexity: float
     own: float
     told: Array
+    everywhere: BoolArray
 
-    def solved(self, spread: float) -> _Solved:
-        """The clock, where the field is ``spread`` times as large as a sample's error."""
+    def solved(self, spread: float, shift_m: float) -> _Solved:
+        """The clock, where biases differ from place to place by ``spread`` times a sample's error, and are ``shift_m``
+        everywhere."""
         A, b, count = self.squares, self.right, self.count
         sd_m = _LEAST_SD_M
         for _ in range(3):
-            prior = np.full(len(A), spread**-2.0)
+            prior = np.where(self.everywhere, (sd_m / shift_m) ** 2, spread**-2.0)
             prior[:2] = (sd_m / _OFFSET_SD_S) ** 2, (sd_m / _DRIFT_SD) ** 2
             told = np.zeros(len(A))
             told[:2] = self.told
@@ -226,7 +245,8 @@ class _Reduced:
             sd_m = max(float(np.sqrt(max(float(left), 0.0) / count)), _LEAST_SD_M)
         complexity = 2 * np.log(np.diag(factor[0])).sum() - np.log(prior).sum()
         complexity += self.complexity
-        unusual = np.log(np.array([self.own, spread]) * sd_m / _USUAL_M) / np.log(_FACTOR)
+        sizes = np.array([self.own * sd_m / _USUAL_M, spread * sd_m / _USUAL_M, shift_m / _USUAL_SHIFT_M])
+        unusual = np.log(sizes) / np.log(_FACTOR)
         likely = -0.5 * (float(left) / sd_m**2 + 2 * count * np.log(sd_m) + complexity + (unusual**2).sum())
         covariance = cho_solve(factor, np.eye(len(A), 2))[:2] * sd_m**2
         return _Solved(float(likely), solution, covariance)
@@ -240,9 +260,9 @@ def _own(samples: Samples) -> Array:
 
 
 def _field(samples: Samples) -> Array:
-    """(N, F) functions of place and axis, of which a bias with a standard deviation of about 1 is a random sum."""
-    bumps = _bumps(samples.point_m)
-    place = np.column_stack([np.full(len(samples), np.sqrt(_EVERYWHERE)), np.sqrt(1 - _EVERYWHERE) * bumps])
+    """(N, F) functions of place and axis, of which a bias is a random sum: the first, and the first of each third of
+    them, is the same everywhere."""
+    place = np.column_stack([np.ones(len(samples)), np.sqrt(_FROM_PLACE_TO_PLACE) * _bumps(samples.point_m)])
     turn = 2 * np.arctan2(samples.velocity_mps[:, 1], samples.velocity_mps[:, 0])
     moving = np.minimum(np.linalg.norm(samples.velocity_mps, axis=1) / _LEAST_SPEED_MPS, 1.0)
     by_axis = np.sqrt(_BY_AXIS) * moving[:, None] * place

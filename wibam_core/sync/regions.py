@@ -61,7 +61,7 @@ def unseen_cautions(
 def _drawn(camera: SiteCamera) -> Iterator[Caution]:
     image_px = camera.width_px * camera.height_px
     for signal in camera.signals:
-        x, y, width, height = signal.region
+        width, height = signal.region[2:]
         details = {"signal": signal.id, "region": list(signal.region)}
         if width * height > _LARGEST_SHARE * image_px:
             corners = " A region is x, y, width, height, not two corners." if _could_be_corners(camera, signal) else ""

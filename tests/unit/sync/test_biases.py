@@ -8,9 +8,10 @@ from wibam_core.sync.biases import Samples, joined, solve
 OFFSET_S, DRIFT = 0.06, 2e-4
 
 
-def samples(rng, count=40, field_m=0.0, own_m=0.1, noise_m=0.15, headings=4):
+def samples(rng, count=40, field_m=0.0, own_m=0.1, noise_m=0.15, headings=4, shift_m=0.0):
     """Vehicles on crossing roads; the first camera's clock is ``OFFSET_S`` further on than thought, at 150 s."""
     parts = []
+    shift = shift_m * rng.standard_normal(2) if shift_m else np.zeros(2)
     for number in range(count):
         heading = rng.integers(headings) * np.pi / 2 + rng.normal(0, 0.1)
         ahead = np.array([np.cos(heading), np.sin(heading)])
@@ -20,7 +21,7 @@ def samples(rng, count=40, field_m=0.0, own_m=0.1, noise_m=0.15, headings=4):
         point = along[:, None] * ahead + 4.0 * np.array([ahead[1], -ahead[0]])
         velocity = np.broadcast_to(speed * ahead, point.shape)
         bias = field_m * np.column_stack([np.sin(point[:, 1] / 20), np.cos(point[:, 0] / 25)])
-        wrong = bias + own_m * rng.standard_normal(2) + noise_m * rng.standard_normal(point.shape)
+        wrong = shift + bias + own_m * rng.standard_normal(2) + noise_m * rng.standard_normal(point.shape)
         apart = wrong - velocity * (OFFSET_S + DRIFT * (at_s - 150.0))[:, None]
         parts.append(Samples(np.full(len(at_s), number), at_s, point, velocity, apart, np.ones(len(at_s))))
     return joined(parts)
@@ -50,6 +51,22 @@ def test_traffic_in_one_direction_at_one_speed_knows_little_where_cameras_disagr
     crossing = solve(samples(np.random.default_rng(1), field_m=0.6, own_m=0.2), 150.0, 0.0)[1]
     one_way = solve(samples(np.random.default_rng(1), field_m=0.6, own_m=0.2, headings=1), 150.0, 0.0)[1]
     assert one_way[0, 0] > 2 * crossing[0, 0]
+
+
+@pytest.mark.parametrize("shift_m", [0.0, 0.4])
+def test_traffic_in_one_direction_states_what_a_shift_of_all_places_leaves_open(shift_m):
+    """A shift along the road and an offset look alike there, and no sample scatters by either."""
+    errors, stated = [], []
+    for seed in range(8):
+        one_way = samples(np.random.default_rng(seed), own_m=0.15, headings=1, shift_m=shift_m)
+        solution, covariance = solve(one_way, 150.0, 0.0)
+        errors.append(solution[0] - OFFSET_S)
+        stated.append(np.sqrt(covariance[0, 0]))
+    scaled = np.array(errors) / stated
+    assert np.sqrt((scaled**2).mean()) < 1.4 and np.abs(scaled).max() < 2.5
+    crossing, covariance = solve(samples(np.random.default_rng(0), own_m=0.15, shift_m=shift_m), 150.0, 0.0)
+    assert abs(crossing[0] - OFFSET_S) < 0.01
+    assert np.sqrt(covariance[0, 0]) < 0.7 * np.mean(stated)
 
 
 def test_a_vehicle_that_is_taken_for_another_hardly_counts():
