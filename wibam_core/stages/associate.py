@@ -12,6 +12,7 @@ from wibam_core.artifacts.catalogue import (
     ROUND_DETECTIONS,
     SEARCHED_INSTANTS,
 )
+from wibam_core.association.agreement import agreement_cautions
 from wibam_core.association.associate import associate, association_statistics
 from wibam_core.association.linking import linked_over_time
 from wibam_core.association.published import agreement_of, clustered_as_published
@@ -32,7 +33,7 @@ def run(context: StageContext, config: AssociateConfig) -> Summary:
     """
     searched, detected = context.read(SEARCHED_INSTANTS), context.read(ROUND_DETECTIONS)
     rig, seen = context.read(RIG), annotated(searched, detected)
-    context.warn(*size_cautions(seen, rig))
+    context.warn(*size_cautions(seen, rig), *agreement_cautions(seen, rig))
     poses = {name: np.array(matrix) for name, matrix in context.read(REFINEMENT).covariances.items()}
     tracked = associate(seen, rig, config, part(context.progress, 0.0, 0.7), poses)
     paper = clustered_as_published(seen, rig, config)
