@@ -73,6 +73,8 @@ class VideoInfo(Document):
     """From the first frame to the end of the last."""
     largest_gap_s: float
     """Longest interval between two frames."""
+    still_ns: tuple[int, int] | None = None
+    """Between these times all pictures that were looked at, some seconds apart, are one and the same; null for none."""
     variable_rate: bool
     """Some intervals differ from the usual one by more than a tenth."""
     segments: list[Segment] = Field(default_factory=list)

@@ -16,6 +16,9 @@ _LEAST_MISSING_S = 1.0
 #: Rates that differ by more than this share are two, and no dropped frames.
 _OTHER_RATE = 0.25
 _NAMED = 5
+#: A picture may stay the same for so long without a word, s; fewer pictures a second than this are worth one.
+_LONGEST_STILL_S = 10.0
+_FEW_FPS = 4.0
 
 
 def cautions_of(info: VideoInfo) -> list[Caution]:
@@ -152,6 +155,13 @@ def _of_time(info: VideoInfo) -> Iterator[Caution]:
             "at high rates, and calibration holds for one section alone.",
             details={"at_s": [each.time_ns / 1e9 for each in info.rate_changes]},
         )
+    if info.fps < _FEW_FPS:
+        yield Caution(
+            code="few_pictures",
+            message=f"it has {info.fps:.2g} pictures a second, between which vehicles go many metres",
+            hint=f"Record {_FEW_FPS:g} and more a second: fewer make tracks, speeds and conflicts inexact.",
+            details={"fps": info.fps},
+        )
     captured = info.captured_fps
     if captured is not None and abs(captured / info.fps - 1) > _OTHER_RATE:
         yield Caution(
@@ -190,6 +200,15 @@ def _of_pictures(info: VideoInfo) -> Iterator[Caution]:
             hint="A calibration from a player's picture does not fit it: give the size of the picture that was "
             "calibrated.",
             details={"pixel_aspect": info.pixel_aspect},
+        )
+    if info.still_ns is not None and info.still_ns[1] - info.still_ns[0] >= _LONGEST_STILL_S * 1e9:
+        first_s, last_s = (time_ns / 1e9 for time_ns in info.still_ns)
+        yield Caution(
+            code="picture_still",
+            message=f"from {first_s:.1f} to {last_s:.1f} s its picture hardly changes at all",
+            hint="Look at it: the camera froze, its lens was covered, or nobody was there in the dark. A frozen "
+            "picture shows vehicles where they no longer are.",
+            details={"from_s": first_s, "to_s": last_s},
         )
     if info.interlaced:
         yield Caution(

@@ -25,6 +25,7 @@ from wibam_core.video.picture import Orientation, Orientations, Size
 from wibam_core.video.recording import RecordingFile
 from wibam_core.video.source import ns_from_pts, open_video, video_streams
 from wibam_core.video.stamps import unwrapped_ns
+from wibam_core.video.stills import Stills
 from wibam_core.video.tags import captured_fps, created_ns, timecode_ns
 
 IntArray = NDArray[np.int64]
@@ -109,6 +110,7 @@ class FilePackets:
         captured_fps: the rate that its header says the camera took pictures at; None where it does not say.
         has_clock: False where the file knows no times, and the usual rate was assumed.
         looks: what some of its pictures look like, by packet, ascending, where it changes; at least one, if asked for.
+        still: packets between which all pictures that were looked at are one and the same; None for none.
         tracks: how many video tracks may be the recording.
         created_ns: when it says that it was made, Unix time.
         timecode_ns: of its first frame, since midnight; None where there is none.
@@ -135,6 +137,7 @@ class FilePackets:
     captured_fps: float | None
     has_clock: bool
     looks: dict[int, Look]
+    still: tuple[int, int] | None
     tracks: int
     created_ns: int | None
     timecode_ns: int | None
@@ -220,6 +223,7 @@ def read_packets(file: RecordingFile, *, look: bool) -> FilePackets:
             captured_fps=captured_fps(container, stream),
             has_clock=name not in _NO_CLOCK,
             looks=looks,
+            still=reader.stills.longest,
             tracks=len(video_streams(container)),
             created_ns=created_ns(container, stream),
             timecode_ns=timecode_ns(container, stream),
@@ -237,6 +241,7 @@ class _Reader:
         self.stamps: list[int] = []
         self.places: list[int] = []
         self.looks: dict[int, Look] = {}
+        self.stills = Stills()
         self._orientations = Orientations()
         self.packets = self.hidden = self.lead_in = self.unstamped = self.smeared = 0
         self._first_byte = self._last_byte = 0
@@ -329,6 +334,7 @@ class _Reader:
         sound = [frame for frame in frames if not frame.is_corrupt]
         if not sound:
             return False
+        self.stills.add(number, sound[0])
         look = look_of(sound[0], self._stream, self._orientations)
         if not self.looks or look != next(reversed(self.looks.values())):
             self.looks[number] = look

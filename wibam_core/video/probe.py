@@ -83,6 +83,7 @@ def measure(recording: Path | Recording, size_px: Size | None = None) -> tuple[V
         last_ns=int(times_ns[-1]),
         duration_s=float(times_ns[-1] - times_ns[0] + usual_ns) / 1e9,
         largest_gap_s=float(intervals_ns.max()) / 1e9,
+        still_ns=_still_ns(timeline),
         variable_rate=not bool(within.all()),
         segments=list(timeline.segments) if len(timeline.segments) > 1 else [],
         files=len(timeline.files),
@@ -122,6 +123,16 @@ def _missing_s(packets: FilePackets, usual_ns: float) -> float:
 def _looks(timeline: Timeline) -> list[tuple[int, Look]]:
     """What pictures look like, each with about its time, where that changes."""
     return [(_time_near(file, number), look) for file in timeline.files for number, look in file.packets.looks.items()]
+
+
+def _still_ns(timeline: Timeline) -> tuple[int, int] | None:
+    """The longest stretch of a file in which the picture stays the same."""
+    found = [
+        (_time_near(file, file.packets.still[0]), _time_near(file, file.packets.still[1]))
+        for file in timeline.files
+        if file.packets.still is not None
+    ]
+    return max(found, key=lambda stretch: stretch[1] - stretch[0], default=None)
 
 
 def _rate_changes(timeline: Timeline) -> list[RateChange]:
