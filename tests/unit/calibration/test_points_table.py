@@ -215,3 +215,25 @@ def test_a_pixel_in_geojson_that_is_none_is_refused(properties: object) -> None:
     point = {"type": "Feature", "geometry": {"type": "Point", "coordinates": [11.5, 48.1]}, "properties": properties}
     with pytest.raises(InputError, match="pixel"):
         read_named("a.geojson", json.dumps({"type": "FeatureCollection", "features": [point]}))
+
+
+@pytest.mark.parametrize(
+    ("header", "words"),
+    [
+        ("x [ft],y [ft],z [ft],u,v", "the column x is in ft"),
+        ("x [m],y [m],z (Feet),u,v", "the column z is in feet"),
+        ("easting (us-ft),northing (us-ft),z,u,v", "easting is in us-ft"),
+        ("#CRS: EPSG:25832\nx,y,z [cm],u,v", "z is in cm"),
+    ],
+)
+def test_a_unit_that_is_no_metre_is_refused_by_name(header: str, words: str) -> None:
+    with pytest.raises(InputError, match=words) as caught:
+        read_named("p.csv", table(header.split("\n")[-1]).replace(header.split("\n")[-1], header))
+    assert "Multiply it by 0." in caught.value.hint
+
+
+@pytest.mark.parametrize("header", ["x (east),y (north),z [metres],u,v", "#CRS: EPSG:2263\nx [ft],y [ft],z,u,v"])
+def test_what_stands_in_brackets_may_be_anything_else(header: str) -> None:
+    last = header.split("\n")[-1]
+    _, [camera] = read_named("p.csv", table(last).replace(last, header))
+    assert camera.points is not None and len(camera.points.pixels) == len(PIXELS)

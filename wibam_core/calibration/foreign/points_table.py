@@ -6,7 +6,7 @@ u and v of the recording. There may be heights above the road, altitudes, and th
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 
@@ -25,6 +25,17 @@ _BARE = ("x", "y")
 _PLACES = ((_X, _Y), (_LONGITUDE, _LATITUDE))
 _CAMERA = ("camera", "camera_id", "cam")
 _WGS84 = "EPSG:4326"
+#: Units of length that people write behind names, in metres.
+_METRES = {
+    **dict.fromkeys(("ft", "feet", "foot", "ift"), 0.3048),
+    **dict.fromkeys(("ftus", "us-ft", "us ft", "usft", "us survey ft", "us survey feet"), 1200 / 3937),
+    **dict.fromkeys(("yd", "yards"), 0.9144),
+    **dict.fromkeys(("in", "inch", "inches"), 0.0254),
+    **dict.fromkeys(("km", "kilometres", "kilometers"), 1000.0),
+    **dict.fromkeys(("dm", "decimetres", "decimeters"), 0.1),
+    **dict.fromkeys(("cm", "centimetres", "centimeters"), 0.01),
+    **dict.fromkeys(("mm", "millimetres", "millimeters"), 0.001),
+}
 
 
 def _recognises(name: str, text: str) -> bool:
@@ -68,6 +79,7 @@ def _read(text: str) -> Sequence[FoundCamera]:
     if twice:
         raise InputError(f"the table has two columns {twice[0]}", hint="Leave the one out that is not meant.")
     height, altitude, camera = (_one_of(wanted, table.names) for wanted in (_HEIGHT, _ALTITUDE, _CAMERA))
+    _check_units(table.units, [height, altitude] if crs else [x, y, height, altitude])
     found: dict[str, list[list[float]]] = {}
     unseen = 0
     for line, row in table.rows:
@@ -87,6 +99,20 @@ def _read(text: str) -> Sequence[FoundCamera]:
     if unseen:
         notes = (*notes, f"{unseen} points without a pixel were left out.")
     return [_camera(name, np.array(rows), crs, notes) for name, rows in found.items()]
+
+
+def _check_units(units: Mapping[str, str], names: Sequence[str | None]) -> None:
+    """Raises:
+    InputError: a column is said to be in another unit than metres.
+    """
+    for name in names:
+        unit = units.get(name or "", "")
+        if unit in _METRES:
+            raise InputError(
+                f"the column {name} is in {unit}, and places and heights are in metres",
+                hint=f"Multiply it by {_METRES[unit]:.10g}, and call it {name} [m]; coordinates in feet of a named "
+                "system may stay with a line #CRS.",
+            )
 
 
 def _places(said_crs: str, names: Sequence[str]) -> tuple[tuple[str | None, str | None], str | None, tuple[str, ...]]:

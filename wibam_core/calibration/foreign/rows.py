@@ -13,6 +13,7 @@ from wibam_core.errors import InputError
 _COMMENTS = ("#", "//", "%")
 #: What people write behind a name: a unit, in brackets or behind an underscore.
 _UNIT = re.compile(r"[\s_]*[\[(][^\])]*[\])]\s*$|_(?:m|px|deg)$")
+_BRACKETED = re.compile(r"[\[(]([^\])]*)[\])]\s*\"?\s*$")
 
 
 @dataclass(frozen=True)
@@ -22,12 +23,14 @@ class Rows:
     Attributes:
         names: of the columns, in lower case, without their units.
         rows: (line in the file, column name -> text) of each that is not empty.
+        units: column name -> what stands in brackets behind it, in lower case, where something does.
         crs: what a line ``#CRS: ...`` says; "" without one.
         decimal_commas: numbers may have a decimal comma, since the columns are told apart by something else.
     """
 
     names: tuple[str, ...]
     rows: Sequence[tuple[int, Mapping[str, str]]]
+    units: Mapping[str, str]
     crs: str
     decimal_commas: bool
 
@@ -51,11 +54,15 @@ class Rows:
 
 
 def header_of(text: str) -> tuple[str, ...]:
-    """The names in the first line that is no comment; () where there is none."""
+    """The names in the first line that is no comment, in lower case, without their units; () where there is none."""
+    return tuple(_plain(name) for name in _header(text))
+
+
+def _header(text: str) -> list[str]:
     line = next((line for _, line in _lines(text)), "")
     with suppress(csv.Error):
-        return tuple(_plain(name) for name in _cells(line, _delimiter(line)))
-    return ()
+        return _cells(line, _delimiter(line))
+    return []
 
 
 def read_rows(text: str) -> Rows:
@@ -82,7 +89,9 @@ def read_rows(text: str) -> Rows:
             rows.append((number, dict(zip(names, cells, strict=False))))
     said = re.search(r"^#\s*CRS\s*:\s*(.*?)\s*$", text, re.IGNORECASE | re.MULTILINE)
     crs = said[1] if said else ""
-    return Rows(names, rows, crs, delimiter != ",")
+    bracketed = ((_plain(name), _BRACKETED.search(name)) for name in _header(text))
+    units = {name: found[1].strip().lower() for name, found in bracketed if found}
+    return Rows(names, rows, units, crs, delimiter != ",")
 
 
 def _lines(text: str) -> list[tuple[int, str]]:
