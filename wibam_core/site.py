@@ -46,6 +46,8 @@ Distortion = Annotated[tuple[Number, ...], Field(max_length=14), FailFast()]
 Lens = Literal["pinhole", "fisheye", "omnidirectional"]
 
 
+#: A system may be used so far outside of where it is meant to be.
+_NEAR_DEG = 5.0
 #: What other programs, and people, call fields.
 _OTHERWISE = {
     "distortion": "dist",
@@ -248,7 +250,7 @@ class Site(_Model):
         """
         _check_text(self.name, "the name of the site")
         if self.origin is not None and self.origin.epsg is not None:
-            _check_epsg(self.origin.epsg)
+            _check_epsg(self.origin, self.origin.epsg)
         for camera in self.cameras:
             _check_recordings(camera)
             _check_picture(camera)
@@ -328,7 +330,7 @@ def _check_recordings(camera: SiteCamera) -> None:
         )
 
 
-def _check_epsg(epsg: int) -> None:
+def _check_epsg(origin: Origin, epsg: int) -> None:
     from pyproj import CRS  # takes longer to import than all else here, and hardly any site names a system
     from pyproj.exceptions import CRSError
 
@@ -343,6 +345,23 @@ def _check_epsg(epsg: int) -> None:
             hint="Name one, e.g. 32632 for UTM zone 32 north, or leave it out.",
             epsg=epsg,
         )
+    place = origin.latitude_deg, origin.longitude_deg
+    if not _is_used_at(crs.area_of_use, *place):
+        exchanged = "Are latitude and longitude exchanged? " if _is_used_at(crs.area_of_use, *reversed(place)) else ""
+        raise SiteFileError(
+            f"the origin at latitude {place[0]:g}, longitude {place[1]:g} lies far outside of where EPSG:{epsg} "
+            f"({crs.name}) is used",
+            hint=f"{exchanged}Name the system of the site, or leave epsg out for its UTM zone.",
+            epsg=epsg,
+        )
+
+
+def _is_used_at(area: Any, latitude_deg: float, longitude_deg: float) -> bool:
+    """Whether a system, by pyproj's area of its use, is used near a place; true where nobody says."""
+    if area is None or area.west > area.east:
+        return True
+    within_lat = area.south - _NEAR_DEG <= latitude_deg <= area.north + _NEAR_DEG
+    return within_lat and area.west - _NEAR_DEG <= longitude_deg <= area.east + _NEAR_DEG
 
 
 def _check_focal_length(camera_id: str, K: tuple[Row3, Row3, Row3]) -> None:

@@ -151,3 +151,19 @@ def test_fields_that_other_programs_call_otherwise_are_named(field: str, meant: 
     camera = {"id": "a", "width_px": 640, "height_px": 360, "calibration": calibration}
     with pytest.raises(SiteFileError, match=f"'{field}' here; is {meant} meant"):
         Site.parse(json.dumps({"name": "t", "cameras": [camera]}))
+
+
+@pytest.mark.parametrize(
+    ("latitude", "longitude", "epsg", "words"),
+    [(48.1, 11.6, 32610, "EPSG:32610"), (11.6, 48.1, 25832, "EPSG:25832")],
+)
+def test_an_origin_far_from_where_its_system_is_used_is_refused(
+    latitude: float, longitude: float, epsg: int, words: str
+) -> None:
+    data = json.loads(site_of().model_dump_json())
+    data["origin"] = {"latitude_deg": latitude, "longitude_deg": longitude, "epsg": epsg}
+    with pytest.raises(SiteFileError, match=words) as caught:
+        Site.parse(json.dumps(data))
+    assert ("exchanged" in caught.value.hint) == (epsg == 25832)
+    data["origin"] = {"latitude_deg": 48.1, "longitude_deg": 11.6, "epsg": 25832}
+    Site.parse(json.dumps(data))
