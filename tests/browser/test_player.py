@@ -7,6 +7,7 @@ from pathlib import Path
 import pytest
 
 from tests.browser.conftest import Visit
+from tests.browser.test_every_page import BEYOND
 from tests.clips import clip_job
 from tests.finished import finished_job
 from tests.service import LiveApi
@@ -80,6 +81,20 @@ def test_the_history_of_a_road_user_has_seven_degrees_of_freedom_with_their_inte
     row = history.locator("tbody tr").nth(10).locator("td").all_inner_texts()
     sizes = ["4.50 ± 0.20", "1.80 ± 0.20", "1.50 ± 0.20"]  # 1.96 standard deviations of 0.1
     assert row == ["0:01.0", "10.00 ± 0.20", "0.00 ± 0.20", "0.75 ± 0.20", *sizes, "0.0 ± 11.2", "10.0"]
+    page.set_viewport_size({"width": 390, "height": 800})
+    assert page.evaluate(BEYOND) <= 0, "on a phone the table scrolls, and not the page"
+
+
+def test_keys_work_wherever_a_click_has_left_the_focus(signed_in: Visit, job: str) -> None:
+    page = signed_in.open(f"/jobs/{job}/player")
+    page.get_by_role("slider", name="Instant").fill("20")
+    page.keyboard.press(".")
+    page.wait_for_function("() => document.getElementById('clock').textContent === '0:02.1'")
+    page.get_by_role("button", name="One step back").click()
+    page.keyboard.press(",")
+    page.wait_for_function("() => document.getElementById('clock').textContent === '0:01.9'")
+    page.keyboard.press("]")
+    page.get_by_text("Conflict 0: crossing").wait_for()
 
 
 def test_boxes_move_along_their_tracks_to_when_a_frame_was_exposed(signed_in: Visit) -> None:

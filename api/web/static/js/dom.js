@@ -72,6 +72,13 @@ export function sentence(text) {
   return /[.!?…]$/.test(large) ? large : `${large}.`;
 }
 
+/** Whether a key is meant for what has the focus, and not for the page. @param {KeyboardEvent} event */
+export function isTaken(event) {
+  const { tagName, type } = /** @type {HTMLInputElement} */ (event.target);
+  if (event.ctrlKey || event.metaKey || event.altKey || /^(SELECT|TEXTAREA)$/.test(tagName)) return true;
+  return tagName === "INPUT" ? type !== "range" : /^(BUTTON|A|SUMMARY)$/.test(tagName) && [" ", "Enter"].includes(event.key);
+}
+
 /** Let a screen reader say something. @param {string} text */
 export function say(text) {
   byId("said").textContent = text;

@@ -1,6 +1,17 @@
 // A camera's recording on one scale of time, be it one file or several chapters.
 import { get } from "./api.js";
 
+/**
+ * A site with a camera as large as its recording's pictures; null where it is, or where points or regions are set in its pixels.
+ * @param {any} site its description @param {string} id of the camera @param {any} header of the recording
+ */
+export function resized(site, id, header) {
+  const camera = site.cameras.find((/** @type {any} */ one) => one.id === id), { width_px, height_px } = header;
+  if (camera.calibration.correspondences?.length !== 0 || camera.signals.length) return null;
+  if (camera.width_px === width_px && camera.height_px === height_px) return null;
+  return { ...site, cameras: site.cameras.map((/** @type {any} */ one) => (one === camera ? { ...one, width_px, height_px } : one)) };
+}
+
 /** The files of a recording, in their order. */
 export class Footage {
   /** @param {string[]} paths addresses of the files */

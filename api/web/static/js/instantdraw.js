@@ -103,9 +103,10 @@ export function drawInstantView(canvas, camera, index, image, scene) {
     context.lineWidth = 1.8;
     context.setLineDash(dash);
     for (const box of all) {
-      if (!camera.boxAround(box)) continue;
+      const edges = camera.boxEdges(box);
+      if (!camera.around(edges)) continue;
       context.beginPath();
-      for (const edge of camera.boxEdges(box)) edge.forEach(([u, v], point) => { if (point) context.lineTo(px(u), px(v)); else context.moveTo(px(u), px(v)); });
+      for (const edge of edges) edge.forEach(([u, v], point) => { if (point) context.lineTo(px(u), px(v)); else context.moveTo(px(u), px(v)); });
       context.stroke();
     }
     context.setLineDash([]);

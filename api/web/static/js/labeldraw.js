@@ -66,9 +66,9 @@ function square(context, at, half) {
  */
 export function drawCuboids(view, context, camera, vehicles, chosen, colours, lateS) {
   for (const vehicle of vehicles) {
-    const marked = vehicle.id === chosen, box = later(vehicle, lateS), around = camera.boxAround(box);
+    const marked = vehicle.id === chosen, box = later(vehicle, lateS), edges = camera.boxEdges(box), around = camera.around(edges);
     if (!around) continue;
-    const lines = [...camera.boxEdges(box), ...frontCross(camera, box)];
+    const lines = [...edges, ...frontCross(camera, box)];
     context.setLineDash(vehicle.ignored ? [6, 5] : []);
     for (const [colour, width] of marked ? CHOSEN : [[colours.get(vehicle.class) ?? "#888888", 1.2]]) {
       context.strokeStyle = String(colour);

@@ -31,6 +31,7 @@ export function makePanel(page) {
 /** Show a vehicle. @param {any} vehicle @param {string[]} cameras @param {Object<string, number>} seen camera -> share @param {number} seconds */
 export function showVehicle(vehicle, cameras, seen, seconds) {
   byId("fields").hidden = !vehicle;
+  byId("none-chosen").hidden = Boolean(vehicle);
   if (!vehicle) return;
   const put = (/** @type {string} */ id, /** @type {string} */ value) => { if (document.activeElement !== byId(id)) byId(id).value = value; };
   put("class", vehicle.class);

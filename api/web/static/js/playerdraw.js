@@ -110,13 +110,12 @@ export function drawFrame(canvas, camera, image, shown, boxes) {
   }
   if (!boxes) return;
   for (const state of shown.states) {
-    const chosen = shown.chosen.has(state.track_id), box = boxOf(state);
-    const around = camera.boxAround(box);
-    if (!around) continue;
+    const chosen = shown.chosen.has(state.track_id), box = boxOf(state), edges = camera.boxEdges(box);
+    if (!camera.around(edges)) continue;
     context.strokeStyle = chosen ? "#f5b301" : shown.colour(state);
     context.lineWidth = chosen ? 3 : 1.6;
     context.beginPath();
-    camera.boxEdges(box).forEach((edge, index) => {
+    edges.forEach((edge, index) => {
       edge.forEach(([u, v], point) => { if (point) context.lineTo((u + 0.5) * scale, (v + 0.5) * scale); else context.moveTo((u + 0.5) * scale, (v + 0.5) * scale); });
       if (index === FRONT && edge.length > 1) cross(context, camera, box, scale);
     });

@@ -57,7 +57,7 @@ export class Camera {
   /** World point to the camera frame. @param {number[]} point @returns {number[]} */
   toCamera(point) {
     const R = this.rotation, d = [point[0] - this.centre[0], point[1] - this.centre[1], point[2] - this.centre[2]];
-    return [0, 1, 2].map((k) => R[0][k] * d[0] + R[1][k] * d[1] + R[2][k] * d[2]);
+    return [R[0][0] * d[0] + R[1][0] * d[1] + R[2][0] * d[2], R[0][1] * d[0] + R[1][1] * d[1] + R[2][1] * d[2], R[0][2] * d[0] + R[1][2] * d[1] + R[2][2] * d[2]];
   }
 
   /** Camera-frame point that the lens sees to its pixel. @param {number[]} point @returns {number[]} */
@@ -102,7 +102,7 @@ export class Camera {
    */
   line(from, to, pieces = this.isWide ? WIDE_PIECES : PIECES) {
     let a = this.toCamera(from), b = this.toCamera(to);
-    const at = (/** @type {number} */ t) => a.map((value, k) => value + t * (b[k] - value));
+    const at = (/** @type {number} */ t) => [a[0] + t * (b[0] - a[0]), a[1] + t * (b[1] - a[1]), a[2] + t * (b[2] - a[2])];
     if (this.isWide) { // it may see beside and behind itself: the points that it sees count, and there is no near plane
       return Array.from({ length: pieces + 1 }, (_, i) => at(i / pieces)).filter(this.lens.sees).map((point) => this.pixelOf(point));
     }
@@ -114,7 +114,9 @@ export class Camera {
     if (a[2] < NEAR_M) a = cut(a, b);
     else if (b[2] < NEAR_M) b = cut(b, a);
     const count = this.lens.bends ? pieces : 1;
-    return Array.from({ length: count + 1 }, (_, i) => this.pixelOf(at(i / count)));
+    const pixels = [];
+    for (let i = 0; i <= count; i += 1) pixels.push(this.pixelOf(at(i / count)));
+    return pixels;
   }
 
   /** The edges of a box in the image, in the order of `EDGES`. @param {number[]} box @returns {number[][][]} */
@@ -125,10 +127,16 @@ export class Camera {
 
   /** The tight 2D box x0, y0, x1, y1 around a 3D box, cut to the image; null where the camera does not see it. @param {number[]} box */
   boxAround(box) {
-    const pixels = this.boxEdges(box).flat();
-    if (!pixels.length) return null;
-    const u = pixels.map((p) => p[0]), v = pixels.map((p) => p[1]);
-    const x0 = Math.min(...u), y0 = Math.min(...v), x1 = Math.max(...u), y1 = Math.max(...v);
+    return this.around(this.boxEdges(box));
+  }
+
+  /** The same of edges that are known. @param {number[][][]} edges as `boxEdges` has them */
+  around(edges) {
+    let x0 = Infinity, y0 = Infinity, x1 = -Infinity, y1 = -Infinity;
+    for (const edge of edges) {
+      for (const [u, v] of edge) { x0 = Math.min(x0, u); y0 = Math.min(y0, v); x1 = Math.max(x1, u); y1 = Math.max(y1, v); }
+    }
+    if (x0 > x1) return null;
     const right = this.width - 0.5, bottom = this.height - 0.5;
     if (x0 >= right || y0 >= bottom || x1 <= -0.5 || y1 <= -0.5) return null;
     return [Math.max(x0, -0.5), Math.max(y0, -0.5), Math.min(x1, right), Math.min(y1, bottom)];

@@ -4,7 +4,7 @@ import { attempt, byId, fill, h, message, say } from "../dom.js";
 import { clock, number } from "../format.js";
 import { drawGround, drawOnPlan, drawPoints, label } from "../calibrationdraw.js";
 import { CalibrationPanel } from "../calibrationpanel.js";
-import { Footage } from "../footage.js";
+import { Footage, resized } from "../footage.js";
 import { FrameView } from "../frameview.js";
 import { MapPicture } from "../mappicture.js";
 import { groundInView, Plan } from "../plan.js";
@@ -149,15 +149,18 @@ function keys(event) {
 
 async function start() {
   record = await get(`/v1/sites/${siteId}`);
-  const description = record.site.cameras.find((/** @type {any} */ one) => one.id === cameraId);
+  const described = () => record.site.cameras.find((/** @type {any} */ one) => one.id === cameraId);
   byId("back").textContent = record.name;
   byId("back").href = `/sites/${siteId}`;
   byId("name").textContent = `Camera ${cameraId}`;
-  if (!description) { fill(byId("solution"), message("bad", `the site has no camera ${cameraId} any more`, "Go back to the site.")); return; }
+  if (!described()) { fill(byId("solution"), message("bad", `the site has no camera ${cameraId} any more`, "Go back to the site.")); return; }
   attempt(() => map.show(record.map));
   const files = await getAll(`/v1/sites/${siteId}/recordings`);
   const own = files.filter((/** @type {any} */ one) => one.purpose === "recording" && one.camera === cameraId).sort((a, b) => a.filename.localeCompare(b.filename));
   recording = own.length ? new Footage(own.map((/** @type {any} */ one) => `/v1/sites/${siteId}/recordings/${one.id}`)) : null;
+  const help = [...byId("frame-note").childNodes];
+  if (recording) { fill(byId("frame-note"), "Reading the recording …"); await attempt(readSize); }
+  const description = described();
   view.resize(description.width_px, description.height_px);
   const now = () => Number(byId("time").value);
   signals = new SignalPanel(description.signals, recording, changed, now);
@@ -187,13 +190,21 @@ async function start() {
   byId("save").addEventListener("click", () => attempt(save));
   window.addEventListener("beforeunload", (event) => { if (dirty) event.preventDefault(); });
   if (!recording) { fill(byId("frame-note"), message("plain", "this camera has no recording yet", "Upload one on the site's page; points can be typed meanwhile.")); return; }
-  await recording.load();
   const { header } = recording;
+  if (!header) { fill(byId("frame-note"), help); return; } // which was said
   if (recording.length) byId("time").max = recording.length;
   if (header.width_px !== description.width_px || header.height_px !== description.height_px) {
     fill(byId("frame-note"), message("caution", `the recording has ${header.width_px} × ${header.height_px} px, the site says ${description.width_px} × ${description.height_px}`, "Points and regions are in the site's pixels; correct the size in the site's JSON, or upload the recording that it was made for."));
   }
   await showFrame();
+  if (byId("frame-note").textContent === "Reading the recording …") fill(byId("frame-note"), help);
+}
+
+/** A click is of a pixel of the recording: how large its pictures are must be known before, and for a new camera it says so itself. */
+async function readSize() {
+  await recording?.load();
+  const sized = resized(record.site, cameraId, recording?.header);
+  if (sized) record = await send("PUT", `/v1/sites/${siteId}`, sized);
 }
 
 attempt(start);

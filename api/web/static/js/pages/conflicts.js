@@ -100,7 +100,7 @@ attempt(async () => {
   if (!document_) { fill(byId("nothing"), message("plain", "conflicts have not been looked for yet", "They appear here once the stage has finished.")); return; }
   conflicts = document_.conflicts;
   if (document_.exposure) { area = document_.exposure.outlines_m; byId("exposure").textContent = exposed(document_.exposure); }
-  if (!conflicts.length) { fill(byId("nothing"), message("plain", "there are no conflicts", `The thresholds were TTC ${document_.thresholds.ttc_s} s and PET ${document_.thresholds.pet_s} s; a job's options change them.`)); return; }
+  if (!conflicts.length) { fill(byId("nothing"), message("plain", "there are no conflicts", `The thresholds were TTC ${document_.thresholds.ttc_s} s and PET ${document_.thresholds.pet_s} s. Another job of the site with other options safety.ttc_s and safety.pet_s finds others: it takes over all that is made before.`)); return; }
   const [said, scene] = await Promise.all([getAll(`/v1/jobs/${jobId}/conflicts/reviews`), made.scene()]);
   for (const review of said) reviews.set(review.conflict_id, review);
   cameras = (scene?.cameras ?? []).map((/** @type {any} */ camera) => new Camera(camera));

@@ -1,6 +1,6 @@
 // Instant by instant: how boxes were associated, what was fitted to them, and what the network says before and after.
 import { get } from "../api.js";
-import { attempt, byId, fill, h, message, say } from "../dom.js";
+import { attempt, byId, fill, h, isTaken, message, say } from "../dom.js";
 import { clock, number } from "../format.js";
 import { saveCanvases } from "../chart.js";
 import { FrameCache } from "../frames.js";
@@ -92,7 +92,7 @@ function stepVehicle(by) {
 
 /** @param {KeyboardEvent} event */
 function keys(event) {
-  if (event.ctrlKey || event.metaKey || event.altKey || /^(INPUT|SELECT|TEXTAREA|BUTTON|A|SUMMARY)$/.test(/** @type {Element} */ (event.target).tagName)) return;
+  if (isTaken(event)) return;
   const work = /** @type {Object<string, () => void>} */ ({ ",": () => step(-1), ".": () => step(1), "[": () => stepVehicle(-1), "]": () => stepVehicle(1) })[event.key];
   if (!work) return;
   event.preventDefault();

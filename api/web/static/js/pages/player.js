@@ -1,6 +1,6 @@
 // The player: the plan and all cameras' frames in step, with what happened drawn in.
 import { get, query } from "../api.js";
-import { attempt, byId, complain, fill, h, message, say } from "../dom.js";
+import { attempt, byId, complain, fill, h, isTaken, message, say } from "../dom.js";
 import { clock, number, percent, words } from "../format.js";
 import { ClipPanel } from "../clippanel.js";
 import { FrameCache } from "../frames.js";
@@ -246,7 +246,7 @@ function clickView(camera, event) {
 
 /** @param {KeyboardEvent} event */
 function keys(event) {
-  if (event.ctrlKey || event.metaKey || event.altKey || /^(INPUT|SELECT|TEXTAREA|BUTTON|A|SUMMARY)$/.test(/** @type {Element} */ (event.target).tagName)) return;
+  if (isTaken(event)) return;
   const work = /** @type {Object<string, () => void>} */ ({ " ": () => play(!playing), ",": () => step(-1), ".": () => step(1), "[": () => stepConflict(-1), "]": () => stepConflict(1), Escape: () => { conflict = null; attempt(() => choose(null)); } })[event.key];
   if (!work) return;
   event.preventDefault();

@@ -16,6 +16,18 @@ function show(id, ...content) {
   byId(id).hidden = false;
 }
 
+/**
+ * Fill a section once one is about to see it, or prints the page: what grows with the recording is not asked for before.
+ * @param {string} id @param {() => Promise<any>} work
+ */
+function later(id, work) {
+  show(id, h("p.note", { role: "status" }, "Loading …"));
+  const watch = new IntersectionObserver((entries) => { if (entries.some((one) => one.isIntersecting)) begin(); }, { rootMargin: "400px" });
+  const begin = () => { watch.disconnect(); window.removeEventListener("beforeprint", begin); attempt(work); };
+  window.addEventListener("beforeprint", begin);
+  watch.observe(byId(id));
+}
+
 /** @param {HTMLElement[]} found */
 const figures = (found) => (found.length ? h("div.figure-grid", null, found) : null);
 
@@ -34,10 +46,15 @@ async function training() {
   return !!curves;
 }
 
-async function sync() {
+function sync() {
+  if (!made.has("changes")) return false;
+  later("sync", showSync);
+  return true;
+}
+
+async function showSync() {
   const changes = await made.document("changes");
-  if (changes) show("sync", changes.method === "none" ? h("p.note", null, "The recordings share a clock; nothing was searched.") : [clocks(changes), ...clockWitnesses(changes)], figures(syncFigures(changes)));
-  return !!changes;
+  show("sync", changes.method === "none" ? h("p.note", null, "The recordings share a clock; nothing was searched.") : [clocks(changes), ...clockWitnesses(changes)], figures(syncFigures(changes)));
 }
 
 async function calibration() {
@@ -49,10 +66,12 @@ async function calibration() {
   return true;
 }
 
-async function trajectories() {
-  const [scene, found] = await Promise.all([made.scene(), made.answer("tracks", "/tracks/paths")]);
-  if (!scene || !found?.paths.length) return false;
-  show("tracks", figures([trajectoryFigure(scene, found)]));
+function trajectories() {
+  if (!made.has("tracks")) return false;
+  later("tracks", async () => {
+    const [scene, found] = await Promise.all([made.scene(), made.answer("tracks", "/tracks/paths")]);
+    show("tracks", scene && found.paths.length ? figures([trajectoryFigure(scene, found)]) : h("p.note", null, "Nobody was tracked."));
+  });
   return true;
 }
 
@@ -95,6 +114,7 @@ attempt(async () => {
   const [job, found] = await openJob();
   made = found;
   downloads();
-  const there = await Promise.all([quality(), training(), sync(), calibration(), data(), amounts(job), trajectories()]);
+  const there = await Promise.all([quality(), training(), calibration(), data(), amounts(job)]);
+  there.push(sync(), trajectories()); // where these are is known now, and with it whether they are seen
   if (!there.includes(true)) fill(byId("nothing"), message("plain", "nothing has been made yet", "Figures appear here as stages finish."));
 });

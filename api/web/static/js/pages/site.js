@@ -1,6 +1,7 @@
 // One site: cameras, uploads, what the cameras see, starting a job.
 import { get, getAll, Problem, query, send } from "../api.js";
 import { ask, attempt, byId, fill, h, message, say, sentence } from "../dom.js";
+import { resized } from "../footage.js";
 import { duration, percent, size, when } from "../format.js";
 import { layMap } from "../maplayer.js";
 import { cameraColour, drawView, groundInView, Plan } from "../plan.js";
@@ -44,10 +45,14 @@ function card(camera) {
   const page = `/sites/${siteId}/cameras/${camera.id}`;
   const calibrated = given.kind !== "matrices" && points === 0 ? h("span.chip.caution", null, "not calibrated yet")
     : state?.problem ? h("span.chip.caution", null, "cannot be solved") : h("span.chip", null, given.kind === "matrices" ? "matrices" : `${points} points`);
+  const facts = [
+    file && `${all.length > 1 ? `one recording of ${all.length} chapters: ` : ""}${all.map((one) => one.filename).join(", ")}`, file && size(all.reduce((sum, one) => sum + one.size_bytes, 0)),
+    file?.probe && duration(file.probe.duration_s), file?.probe?.codec, (file || points !== 0) && `${camera.width_px} × ${camera.height_px} px`, `${camera.signals.length} signal region${camera.signals.length === 1 ? "" : "s"}`,
+  ];
   return h("li.card.camera", null,
     file ? h("img", { src: `/v1/sites/${siteId}/recordings/${file.id}/frame${query({ width_px: 480, time_s: 1 })}`, alt: `A frame of camera ${camera.id}`, loading: "lazy" }) : h("div.blank", null, "no recording yet"),
     h("div.row.spread", null, h("h3", null, camera.id), h("span.row", null, record.cameras[0] === camera.id ? h("span.chip", null, "reference") : null, calibrated)),
-    h("p.note", null, file ? `${all.length > 1 ? `one recording of ${all.length} chapters: ` : ""}${all.map((one) => one.filename).join(", ")} · ${size(all.reduce((sum, one) => sum + one.size_bytes, 0))}` : "", file?.probe ? ` · ${duration(file.probe.duration_s)} · ${file.probe.codec}` : "", ` · ${camera.width_px} × ${camera.height_px} px · ${camera.signals.length} signal region${camera.signals.length === 1 ? "" : "s"}`),
+    h("p.note", null, facts.filter(Boolean).join(" · ")),
     state?.problem ? h("p.note", null, sentence(state.problem.message), " ", state.problem.hint) : null,
     state?.cautions.map((caution) => h("p.note", null, sentence(caution.message), " ", caution.hint)),
     h("div.row", null, h("a.button", { href: page }, "Calibrate and signals"),
@@ -78,6 +83,7 @@ async function solveAll() {
 
 function showPlan() {
   const cameras = [...solved.values()].flatMap((state) => (state.camera ? [state.camera] : []));
+  byId("plan").hidden = !cameras.length && !record.map;
   plan.fit(cameras.flatMap((camera) => [camera.centre, ...groundInView(camera)]));
   attempt(() => layMap(plan, `/v1/sites/${siteId}/map?version=${record.map?.version}`, record.map));
   const rest = record.site.cameras.filter((/** @type {any} */ camera) => !solved.get(camera.id)?.camera).map((/** @type {any} */ camera) => camera.id);
@@ -85,7 +91,7 @@ function showPlan() {
   fill(byId("overlap"),
     alone.length ? message("caution", `${alone.join(", ")}: no other camera sees what ${alone.length > 1 ? "these see" : "this one sees"} of the ground`, "At least two cameras must see the same ground; check that all calibrations use one world frame.") : null,
     rest.length ? h("p.note", null, `Not on the plan: ${rest.join(", ")}, until calibrated.`) : null,
-    h("p.note", null, "Views up to 60 m from each camera. Drag to move, wheel or + and − to enlarge."));
+    byId("plan").hidden ? null : h("p.note", null, "Views up to 60 m from each camera. Drag to move, wheel or + and − to enlarge."));
 }
 
 /** Whether a camera sees some of the ground that another sees. @param {Camera} one @param {Camera} other */
@@ -164,11 +170,7 @@ async function arrived(upload) {
   const camera = record.site.cameras.find((/** @type {any} */ one) => one.id === upload.target.camera), file = camera && recordingsOf(camera.id)[0];
   if (file) {
     const header = await get(`/v1/sites/${siteId}/recordings/${file.id}/header`);
-    const blank = camera.calibration.correspondences?.length === 0 && !camera.signals.length;
-    if (blank && (header.width_px !== camera.width_px || header.height_px !== camera.height_px)) {
-      await change((/** @type {any} */ site) => ({ ...site, cameras: site.cameras.map((/** @type {any} */ one) => (one.id === camera.id ? { ...one, width_px: header.width_px, height_px: header.height_px } : one)) }));
-      return;
-    }
+    if (resized(record.site, camera.id, header)) { await change((site) => resized(site, camera.id, header) ?? site); return; }
   }
   await show();
 }
