@@ -85,7 +85,7 @@ def test_playing_goes_on_through_windows(signed_in: Visit, job: str) -> None:
 
 def test_the_whole_job_is_counted_for_a_filter(signed_in: Visit, api: LiveApi, job: str) -> None:
     page = signed_in.open(f"/jobs/{job}/player")
-    page.get_by_label("From", exact=True).fill("100")
+    page.locator("#from").fill("100")
     whole = api.http.get(f"/v1/jobs/{job}/tracks/summary").json()
     late = api.http.get(f"/v1/jobs/{job}/tracks/summary?start_ns={100 * 10**9}").json()
     page.get_by_text(f"{late['tracks']} of {whole['tracks']} road users, {late['states']} of").wait_for()

@@ -155,7 +155,7 @@ function play(on) {
   if (playing) {
     show(now >= whole.last_ns ? whole.first_ns : now);
     requestAnimationFrame((at) => { lastTick = at; tick(at); });
-  } else showPresent();
+  } else show(now); // the frames of this instant come first again
 }
 
 function showPresent() {
