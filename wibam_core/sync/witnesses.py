@@ -101,7 +101,7 @@ def synchronise(
             f"the clock of {', '.join(unknown)} is unknown: too few light changes and road users are shared with the "
             "other cameras" + _considered(traffic, unknown),
             hint="Mark a signal head that two cameras see, record for longer, and check that the recordings overlap in "
-            "time and that the calibration is right.",
+            "time, that each is its camera's own, and that the calibration is right.",
             cameras=unknown,
         )
     starts = {camera_id: rough[camera_id] for camera_id in spans_s if camera_id != reference_id}
