@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from functools import cached_property, lru_cache
 
 import numpy as np
+from numpy.typing import NDArray
 
 from wibam_core.detection.boxes import FloatArray, Image, IntArray
 from wibam_core.video.sampling import nearest_times
@@ -17,6 +18,8 @@ from wibam_core.video.sampling import nearest_times
 _MARGIN_SHARE, _MARGIN_PX = 0.08, 2.0
 #: A pixel is known if it was free in so many images.
 _FEWEST = 4
+#: What was surely seen without anybody in so many images decides, whatever the others show.
+FEWEST_UNCOVERED = 2
 #: Value of unknown pixels.
 UNKNOWN = 128
 #: A background is made of so many frames, and a recording has at least so many that may show it: one every few seconds.
@@ -96,7 +99,9 @@ class StillBackground:
         return np.dstack([self.image, self.known])
 
 
-def still_background(images: Sequence[Image], boxes: Sequence[FloatArray]) -> StillBackground:
+def still_background(
+    images: Sequence[Image], boxes: Sequence[FloatArray], uncovered: Sequence[Image] | None = None
+) -> StillBackground:
     """Median over the images of what lies outside of the boxes.
 
     A plain median shows the queue at a red light as background, which stands there for half of the time.
@@ -104,17 +109,21 @@ def still_background(images: Sequence[Image], boxes: Sequence[FloatArray]) -> St
     Args:
         images: (H, W, 3) uint8 BGR of one camera, up to some minutes around the time of interest.
         boxes: of each image, (N, 4) xyxy px.
+        uncovered: of each image, (H, W) uint8 above 0 where it surely shows the background: where two do, the others
+            do not count.
     """
     stack = np.empty((*images[0].shape, len(images)), np.uint8)
     for number, image in enumerate(images):
         stack[..., number] = image
     free = np.ones((*stack.shape[:2], len(images)), bool)
     for number, found in enumerate(boxes):
-        margin = _MARGIN_PX + _MARGIN_SHARE * (found[:, 2:] - found[:, :2])
-        low = np.floor(np.maximum(found[:, :2] - margin + 0.5, 0)).astype(int)
-        high = np.ceil(found[:, 2:] + margin + 0.5).astype(int)
-        for (x0, y0), (x1, y1) in zip(low, high, strict=True):
-            free[y0:y1, x0:x1, number] = False
+        free[..., number] = outside(found, (images[0].shape[0], images[0].shape[1]))
+    fewest = np.full(stack.shape[:2], min(_FEWEST, len(images)))
+    if uncovered is not None:
+        sure = np.stack(uncovered, axis=-1) > 0
+        decided = sure.sum(axis=-1) >= FEWEST_UNCOVERED
+        free[decided] = sure[decided]
+        fewest[decided] = FEWEST_UNCOVERED
     count = free.sum(axis=-1)
     image = np.empty(stack.shape[:3], np.uint8)
     for top in range(0, len(stack), _STRIP):
@@ -123,6 +132,17 @@ def still_background(images: Sequence[Image], boxes: Sequence[FloatArray]) -> St
         values = np.sort(np.where(free[rows, :, None], stack[rows], np.uint8(255)), axis=-1)
         middle = np.maximum(count[rows] - 1, 0)[..., None, None] // 2
         image[rows] = np.take_along_axis(values, middle, axis=-1)[..., 0]
-    known = count >= min(_FEWEST, len(images))
+    known = count >= fewest
     image[~known] = UNKNOWN
     return StillBackground(image, np.where(known, np.uint8(255), np.uint8(0)))
+
+
+def outside(boxes: FloatArray, shape: tuple[int, int]) -> NDArray[np.bool_]:
+    """(H, W) of an image of that shape: where none of its boxes (N, 4) xyxy px hides the background."""
+    free = np.ones(shape, bool)
+    margin = _MARGIN_PX + _MARGIN_SHARE * (boxes[:, 2:] - boxes[:, :2])
+    low = np.floor(np.maximum(boxes[:, :2] - margin + 0.5, 0)).astype(int)
+    high = np.ceil(boxes[:, 2:] + margin + 0.5).astype(int)
+    for (x0, y0), (x1, y1) in zip(low, high, strict=True):
+        free[y0:y1, x0:x1] = False
+    return free

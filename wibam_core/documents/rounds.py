@@ -47,6 +47,9 @@ class Round(Document):
     scenery_left_out: int | None = None
     """How many of the detector's boxes lie on what never changes, and were left out since other cameras mostly have no
     box of the same; none of rounds that do not look for what moves."""
+    known_share: float | None = None
+    """Of the boxes of vehicles that move and that several cameras see, the share that the detector has one of, or of a
+    network's round that network by itself: who stands is found by these alone. None where there are too few."""
     agreement: HeldOutAgreement
 
 

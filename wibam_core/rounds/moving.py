@@ -12,7 +12,7 @@ of them. Which silhouettes, and which boxes on scenery, are vehicles, several ca
 from __future__ import annotations
 
 import os
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from functools import partial
 from itertools import groupby
@@ -25,7 +25,7 @@ from wibam_core.detection.background import StillBackground, still_background
 from wibam_core.detection.boxes import Found, Image
 from wibam_core.detection.edge_refiner import EdgeRefiner
 from wibam_core.detection.instants import frames_of
-from wibam_core.detection.moving import Stillness
+from wibam_core.detection.moving import Stillness, resized_mask
 from wibam_core.detection.one_per_camera import seen_once
 from wibam_core.geometry.boxes2d import areas_px2, image_iou, intersections_px2, non_maximum_suppression
 from wibam_core.geometry.camera import Camera
@@ -45,14 +45,28 @@ _SMALLEST, _LARGEST = (3.4, 1.6, 1.4), (14.0, 2.6, 3.8)
 _LEAST_SHOWN = 0.5
 #: Ways in which a vehicle may stand whose outlines are compared.
 _YAWS = np.arange(4) * np.pi / 4
+#: Backgrounds are made so often at most, each without what the one before showed to be no ground.
+_PASSES = 3
 #: A box and a silhouette show the same, too, where this share of one of them lies within the other.
 _SAME_INSIDE = 0.6
 
 
-def beside_what_moves(
-    world: World, detected: Detected, progress: Progress = silent
-) -> tuple[dict[FrameKey, Boxes2D], ToldApart]:
-    """The detector's boxes and silhouettes of vehicles that move, as the module says, and the detector's told apart.
+class BesideWhatMoves(NamedTuple):
+    """What a detector found, and what moves.
+
+    Attributes:
+        found: the detector's boxes and silhouettes of vehicles that move, in all frames, px of the recording.
+        told_apart: the detector's.
+        stills: what each camera shows without vehicles, by camera and number of the background.
+    """
+
+    found: dict[FrameKey, Boxes2D]
+    told_apart: ToldApart
+    stills: Mapping[tuple[str, int], Still]
+
+
+def beside_what_moves(world: World, detected: Detected, progress: Progress = silent) -> BesideWhatMoves:
+    """What moves, beside what a detector found, as the module says.
 
     Silhouettes that the detector has no box of have the least score.
 
@@ -64,6 +78,7 @@ def beside_what_moves(
     refiner = EdgeRefiner()
     frames = frames_of(world.instants)
     found: dict[FrameKey, Boxes2D] = {}
+    stills: dict[tuple[str, int], Still] = {}
     on_scenery = {frame: np.zeros(len(detected[frame].boxes), dtype=bool) for frame in frames}
     with ThreadPoolExecutor(max_workers=len(os.sched_getaffinity(0))) as pool:
         for (camera_id, block), group in groupby(frames, key=partial(_block, world)):
@@ -71,7 +86,7 @@ def beside_what_moves(
             if not world.shown[camera_id].of_block(block):  # no frame shows the background then
                 found |= {frame: detected[frame] for frame in of_block}
                 continue
-            still = _Still.of(world, camera_id, block, detected)
+            still = stills[camera_id, block] = Still.of(world, camera_id, block, detected)
             add = partial(_with_silhouettes, world, refiner, still)
             own = pool.map(add, of_block, map(detected.__getitem__, of_block))
             for frame, (boxes, scenery) in zip(of_block, own, strict=True):
@@ -81,14 +96,47 @@ def beside_what_moves(
         trusted={frame: detected[frame].where(~rows) for frame, rows in on_scenery.items()},
         on_scenery={frame: detected[frame].where(rows) for frame, rows in on_scenery.items()},
     )
-    return (seen_once(found, world.rig) if world.rig.views else found), told_apart
+    return BesideWhatMoves(seen_once(found, world.rig) if world.rig.views else found, told_apart, stills)
+
+
+def looked_at_again(
+    world: World, stills: Mapping[tuple[str, int], Still], looked: Detected, progress: Progress = silent
+) -> tuple[dict[FrameKey, Boxes2D], dict[FrameKey, Boxes2D]]:
+    """Boxes of all frames with sharper edges, and those of them that lie on scenery.
+
+    Args:
+        world: the recording.
+        stills: by camera and number of the background. Where one lacks, boxes stay as they are.
+        looked: what was found in all frames of the instants, px of the recording.
+        progress: told now and then.
+    """
+    refiner = EdgeRefiner()
+    frames = frames_of(world.instants)
+
+    def again(frame: FrameKey) -> tuple[Boxes2D, Boxes2D]:
+        still, seen = stills.get(_block(world, frame)), looked[frame]
+        if still is None:
+            return seen, seen.where(np.empty(0, dtype=np.int64))
+        image = world.store.image_at(*frame)
+        classify = world.options.detect.detector == "bundled"  # other detectors know more than simulation
+        of = Found(seen.boxes, seen.scores, seen.classes)
+        boxes = _looked_at(world, refiner, still, frame, image, of, classify)
+        return boxes, boxes.where(still.scenery.holds(image, world.store.to_stored_px(frame.camera_id, boxes.boxes)))
+
+    found, on_scenery = {}, {}
+    with ThreadPoolExecutor(max_workers=len(os.sched_getaffinity(0))) as pool:
+        for number, (frame, of) in enumerate(zip(frames, pool.map(again, frames), strict=True)):
+            found[frame], on_scenery[frame] = of
+            if number % 200 == 0:
+                progress(number / len(frames), f"looking again: {number} of {len(frames)} frames")
+    return (seen_once(found, world.rig) if world.rig.views else found), on_scenery
 
 
 def _block(world: World, frame: FrameKey) -> tuple[str, int]:
     return frame.camera_id, world.shown[frame.camera_id].block(frame.local_ns)
 
 
-class _Still(NamedTuple):
+class Still(NamedTuple):
     """What does not move before a camera: its scenery, and its view without vehicles."""
 
     scenery: Scenery
@@ -96,10 +144,12 @@ class _Still(NamedTuple):
     stillness: Stillness
 
     @classmethod
-    def of(cls, world: World, camera_id: str, block: int, detected: Detected) -> _Still:
+    def of(cls, world: World, camera_id: str, block: int, detected: Detected) -> Still:
         """Vehicles that the detector overlooks are left out of the background, too.
 
-        A first background still has traces of these; what differs from it is left out of the second.
+        A background still has traces of these; what differs from it is left out of the next. One that stood there for
+        most of the time is all that the first background shows of its place, until it drives off and uncovers the
+        ground: then that decides.
         """
         there = [FrameKey(camera_id, local_ns) for local_ns in world.shown[camera_id].of_block(block)]
         images = [world.store.image_at(*frame) for frame in there]
@@ -109,14 +159,24 @@ class _Still(NamedTuple):
             found = detected[frame].boxes if frame in detected else np.empty((0, 4))
             stored = world.store.to_stored_px(camera_id, found)
             boxes.append(stored[~scenery.holds(image, stored)])
-        first = Stillness.of(still_background(images, boxes), images)
-        hidden = [np.concatenate([found, first.silhouettes(image)]) for found, image in zip(boxes, images, strict=True)]
+        height, width = images[0].shape[:2]
+        uncovered = [np.zeros((height, width), np.uint8) for _ in images]
+        hidden = boxes
         background = still_background(images, hidden)
-        return cls(scenery, background, Stillness.of(background, images))
+        for _ in range(_PASSES):
+            stillness = Stillness.of(background, images, hidden, uncovered)
+            told = [stillness.told_apart(image) for image in images]
+            hidden = [np.concatenate([found, more]) for found, (more, _) in zip(boxes, told, strict=True)]
+            for known, (_, more) in zip(uncovered, told, strict=True):
+                known |= resized_mask(more, (width, height))
+            background = still_background(images, hidden, uncovered)
+            if not any(more.any() for _, more in told):
+                break
+        return cls(scenery, background, Stillness.of(background, images, hidden, uncovered))
 
 
 def _with_silhouettes(
-    world: World, refiner: EdgeRefiner, still: _Still, frame: FrameKey, detected: Boxes2D
+    world: World, refiner: EdgeRefiner, still: Still, frame: FrameKey, detected: Boxes2D
 ) -> tuple[Boxes2D, NDArray[np.bool_]]:
     """The detector's boxes of a frame with silhouettes, and which of the detector's (N,) lie on scenery."""
     store, camera = world.store, world.rig[frame.camera_id]
@@ -130,14 +190,7 @@ def _with_silhouettes(
     pairs = same & (same.sum(axis=1, keepdims=True) == 1) & (same.sum(axis=0) == 1)
     instead, replaced = np.nonzero(pairs)
     kept = np.setdiff1d(np.arange(len(known.boxes)), replaced)
-
-    def looked_at(found: Found, classify: bool) -> Boxes2D:
-        stored = found._replace(boxes=store.to_stored_px(frame.camera_id, found.boxes))
-        seen = refiner.refine(image, still.background, stored, nms_iou=options.nms_iou, classify=classify)
-        scale = scale_of(store.size(frame.camera_id), store.native_size(frame.camera_id), 4)
-        native, amodal = (store.to_native_px(frame.camera_id, edges) for edges in (seen.boxes, seen.amodal_boxes))
-        return Boxes2D(native, seen.scores, seen.classes, amodal, seen.amodal_sd * scale)
-
+    looked_at = partial(_looked_at, world, refiner, still, frame, image)
     options = world.options.detect
     of_new = Found(
         boxes[new], np.full(len(new), options.min_score), np.full(len(new), RoadUserClass.CAR.number, dtype=np.int64)
@@ -153,6 +206,19 @@ def _with_silhouettes(
     # scenery gives way to all that passes in front of it
     order = joined.scores - np.repeat([0.0, 0.0, 0.0, 1.0], [len(part.boxes) for part in parts])
     return joined.where(non_maximum_suppression(joined.boxes, order, options.nms_iou)), on_scenery
+
+
+def _looked_at(
+    world: World, refiner: EdgeRefiner, still: Still, frame: FrameKey, image: Image, found: Found, classify: bool
+) -> Boxes2D:
+    """What was found in a frame, px of the recording, with sharper edges, and with the refiner's classes, too."""
+    store, camera_id = world.store, frame.camera_id
+    stored = found._replace(boxes=store.to_stored_px(camera_id, found.boxes))
+    nms_iou = world.options.detect.nms_iou
+    seen = refiner.refine(image, still.background, stored, nms_iou=nms_iou, classify=classify)
+    scale = scale_of(store.size(camera_id), store.native_size(camera_id), 4)
+    native, amodal = (store.to_native_px(camera_id, edges) for edges in (seen.boxes, seen.amodal_boxes))
+    return Boxes2D(native, seen.scores, seen.classes, amodal, seen.amodal_sd * scale)
 
 
 def _joined(parts: Sequence[Boxes2D]) -> Boxes2D:

@@ -2,7 +2,8 @@
 
 How many of the vehicles that other cameras place has each camera a box of? Where that is nearly all of them, nothing
 more is done. Else the first round looks for what moves beside the still backgrounds (`rounds.moving`), which needs no
-network. Where that is not enough, a round fits the vehicles that several cameras see, teaches a network by those of the
+network. Where that is not enough, or where the detector by itself knows too few of those that move to know those that
+stand (`rounds.known`), a round fits the vehicles that several cameras see, teaches a network by those of the
 training part, and looks for vehicles with it in all frames. What it sees, and what was found before, is looked at
 again beside the still backgrounds and associated (`rounds.settled`). Rounds go on while the agreement between views
 rises (`rounds.agreement`), which is judged at instants and of vehicles that nothing was taught by. What no detector saw
@@ -13,38 +14,46 @@ detector saw on scenery (`rounds.scenery`).
 from __future__ import annotations
 
 from collections import Counter
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 
 from wibam_core.config import FinetuneConfig, RoundsConfig
 from wibam_core.detection.boxes import Found
-from wibam_core.detection.instants import frames_of
+from wibam_core.detection.instants import frame_of, frames_of
 from wibam_core.detection.one_per_camera import seen_once
 from wibam_core.detection.second_look import background_frames, look_again
 from wibam_core.documents.rounds import HeldOutAgreement, Round, Rounds, Source
 from wibam_core.errors import NoMultiViewVehicles, TooFewInstants
+from wibam_core.geometry.pixels import resized_px, scale_of
 from wibam_core.models.frames import Frame
 from wibam_core.models.network import Network, predict
 from wibam_core.networks.registry import load_to_train
 from wibam_core.progress import Progress, part, silent
-from wibam_core.rounds.moving import beside_what_moves
+from wibam_core.rounds.known import share_known
+from wibam_core.rounds.moving import Still, beside_what_moves, looked_at_again
 from wibam_core.rounds.scenery import ToldApart, among
 from wibam_core.rounds.seen import beside, outlines_of
 from wibam_core.rounds.settled import Settled, agreement_before_teaching, settled, teaching_fits
 from wibam_core.rounds.world import Detected, World
 from wibam_core.scene import Boxes2D, FrameKey
-from wibam_core.training.dataset import site_views
+from wibam_core.training.dataset import SiteView, site_views
 from wibam_core.training.device import choose_device
 from wibam_core.training.finetune import SiteDataset, finetune
 from wibam_core.training.teachable import Teachable
 
-#: Weaker detections of a taught network are not looked at.
-_MIN_SCORE = 0.3
+#: Weaker detections of a taught network are not looked at. Who stands and was found by nobody was taught as background,
+#: so that scores of vehicles are about the share of them that was found; other cameras tell which are none.
+_MIN_SCORE = 0.2
 #: A step of teaching sees windows of this share of each image: a quarter of the time, for little less.
 _CROP_SHARE = 0.4
 #: Two cameras place a vehicle, and the third is judged.
 _FEWEST_CAMERAS = 3
+#: Who stands is there for many instants: it is found if two of three cameras have a box of it at two instants in three,
+#: as they do if each has one at this share (3 · 0.6² · 0.4 + 0.6³ = 0.65).
+_KNOWN_ENOUGH = 0.6
 #: Fewer vehicles that cameras should show than this, at the instants that judge, do not say whether a round is needed.
 _FEWEST_SIGHTINGS = 20
 
@@ -71,9 +80,11 @@ def run_rounds(world: World, detected: Detected, progress: Progress = silent) ->
     rounds = [_round(0, "detector", best)]
     kept, reason = 0, "as many rounds as were asked for"
     need = first_agreement(world, best, part(progress, 0.1 * share, 0.2 * share))
+    known: float | None = None
     without_network, of_detector = detected, ToldApart.unasked(detected)
+    stills: Mapping[tuple[str, int], Still] = {}
     for number, source in enumerate(sources, 1):
-        if need.found is not None and need.found >= options.enough:
+        if _is_enough(need.found, known, options):
             reason = f"cameras have boxes of {need.found:.0%} of the vehicles that the others place, which is enough"
             break
         own = part(progress, (number - 0.8) * share, (number + 0.2) * share)
@@ -81,7 +92,8 @@ def run_rounds(world: World, detected: Detected, progress: Progress = silent) ->
         taught = None
         found: Detected
         if source == "motion":
-            found, of_detector = beside_what_moves(world, detected, part(own, 0.0, 0.85))
+            found, of_detector, stills = beside_what_moves(world, detected, part(own, 0.0, 0.85))
+            by_itself, asked_of = detected, of_detector
         elif need.found is None:
             reason = "no vehicle is seen by two cameras beside the one that is judged: agreement cannot be told"
             break
@@ -90,10 +102,12 @@ def run_rounds(world: World, detected: Detected, progress: Progress = silent) ->
             if taught is None:
                 reason = "no vehicle of the training part is seen by several cameras"
                 break
-            found = _found_again(world, without_network, taught.network, finding)
-        again = settled(world, found, fitting, of_detector=of_detector)
+            found, by_itself, on_scenery = _found_again(world, without_network, taught.network, stills, finding)
+            asked_of = ToldApart(of_detector.trusted, on_scenery)
+        again = settled(world, found, fitting, of_detector=asked_of)
         left_out = _left_out(of_detector.on_scenery, found, again.detected) if source == "motion" else None
-        rounds.append(_round(number, source, again, taught, left_out))
+        known = share_known(world.instants[: len(again.before)], again.before, by_itself)
+        rounds.append(_round(number, source, again, taught, left_out, known))
         before, after = best.agreement.an_instant, again.agreement.an_instant
         rises = again.agreement.found is not None and after >= (1 + options.least_gain) * before
         if again.agreement.found is not None and after >= before:
@@ -105,6 +119,12 @@ def run_rounds(world: World, detected: Detected, progress: Progress = silent) ->
             break
     progress(1.0, f"round {kept} is kept")
     return dict(best.detected), Rounds(rounds=rounds, kept=kept, reason=reason)
+
+
+def _is_enough(found: float | None, known: float | None, options: RoundsConfig) -> bool:
+    """Whether no further round is needed, by the share of vehicles found that other cameras place, and by that of
+    vehicles that move which is known without their motion, where that was looked at."""
+    return found is not None and found >= options.enough and (known is None or known >= _KNOWN_ENOUGH)
 
 
 def _sources(options: RoundsConfig) -> list[Source]:
@@ -156,6 +176,8 @@ def _taught(world: World, state: Settled, number: int, progress: Progress) -> _T
         network.view_width_px,
         not_looked_for=teachable.not_looked_for,
     )
+    frames = {one.time_ns: one for one in world.instants}
+    views = [_not_judged(world, view, state.doubtful[frame_of(frames[view.time_ns], view.camera_id)]) for view in views]
     dataset = SiteDataset(world.store, world.rig, views, [])
     try:
         finetune(network, dataset, config, part(progress, 0.2, 1.0), world.scratch / f"round{number}")
@@ -164,12 +186,35 @@ def _taught(world: World, state: Settled, number: int, progress: Progress) -> _T
     return _Taught(network.runnable(choose_device(config.device)), len(vehicles), sum(map(len, fits)))
 
 
-def _found_again(world: World, before: Detected, network: Network, progress: Progress) -> Detected:
-    """What the network sees, and what was found before, in all frames, after a second look."""
+def _not_judged(world: World, view: SiteView, doubtful: Boxes2D) -> SiteView:
+    """The view without a judgement of the heat where boxes were that no other camera confirmed."""
+    labels = view.pseudo_labels
+    scale = scale_of(world.rig[view.camera_id].size_px, labels.camera.size_px, 4)
+    ignored = np.concatenate([labels.ignored, resized_px(doubtful.boxes, scale)])
+    return replace(view, pseudo_labels=replace(labels, ignored=ignored))
+
+
+class _FoundAgain(NamedTuple):
+    """What is seen in all frames after a network was taught.
+
+    Attributes:
+        boxes: what the network sees, and what was found before, after a second look.
+        by_itself: what the network sees, before it. on_scenery: those of the boxes that lie on what never changes.
+    """
+
+    boxes: dict[FrameKey, Boxes2D]
+    by_itself: dict[FrameKey, Boxes2D]
+    on_scenery: Detected
+
+
+def _found_again(
+    world: World, before: Detected, network: Network, stills: Mapping[tuple[str, int], Still], progress: Progress
+) -> _FoundAgain:
+    """Look for vehicles with a network in all frames, beside the stills where these are known."""
     frames = frames_of(world.instants)
-    of_backgrounds = background_frames(frames, world.shown)
-    wanted = sorted({*frames, *of_backgrounds})
+    wanted = frames if stills else sorted({*frames, *background_frames(frames, world.shown)})
     looked: dict[FrameKey, Boxes2D] = {}
+    alone: dict[FrameKey, Boxes2D] = {}
     nothing = _unrefined(Found(np.empty((0, 4)), np.empty(0), np.empty(0, dtype=np.int64)))
     nms_iou = world.options.detect.nms_iou
     searching = part(progress, 0.0, 0.5)
@@ -180,12 +225,17 @@ def _found_again(world: World, before: Detected, network: Network, progress: Pro
     found = predict(network, inputs, decode="fitted", min_score=_MIN_SCORE)
     for number, (frame, vehicles) in enumerate(zip(wanted, found, strict=True)):
         seen = outlines_of(vehicles, world.rig[frame.camera_id], nms_iou)
+        alone[frame] = _unrefined(seen)
         looked[frame] = _unrefined(beside(seen, before.get(frame, nothing)))
         if number % 50 == 0:
             searching(number / len(wanted), f"finding again: {number} of {len(wanted)} frames")
+    if stills:
+        again, on_scenery = looked_at_again(world, stills, looked, part(progress, 0.5, 1.0))
+        return _FoundAgain(again, alone, on_scenery)
     config = world.options.detect
     again = dict(look_again(world.store, frames, looked, _never, world.shown, config, part(progress, 0.5, 1.0)))
-    return seen_once(again, world.rig) if world.rig.views else again
+    again = seen_once(again, world.rig) if world.rig.views else again
+    return _FoundAgain(again, alone, ToldApart.unasked(again).on_scenery)
 
 
 def _never(frame: FrameKey, image: object) -> Boxes2D:
@@ -207,7 +257,12 @@ def _left_out(on_scenery: Detected, before: Detected, after: Detected) -> int:
 
 
 def _round(
-    number: int, source: Source, state: Settled, taught: _Taught | None = None, left_out: int | None = None
+    number: int,
+    source: Source,
+    state: Settled,
+    taught: _Taught | None = None,
+    left_out: int | None = None,
+    known: float | None = None,
 ) -> Round:
     boxes: dict[str, list[int]] = {}
     views: Counter[int] = Counter()
@@ -224,5 +279,6 @@ def _round(
         taught_vehicles=None if taught is None else taught.vehicles,
         taught_fits=None if taught is None else taught.fits,
         scenery_left_out=left_out,
+        known_share=known,
         agreement=state.agreement,
     )

@@ -47,12 +47,14 @@ class Settled:
         before: the instants before the test part, with their vehicles.
         split: in time; of each part the vehicles are left out that are there later, but before the test part.
         agreement: between views, of vehicles that teach nothing.
+        doubtful: boxes that were dropped, since no other camera confirmed them, though something moved there.
     """
 
     detected: Detected
     before: list[AnnotatedInstant]
     split: Split
     agreement: HeldOutAgreement
+    doubtful: Detected
 
 
 def settled(
@@ -75,18 +77,20 @@ def settled(
     earlier = [instant for instant in world.instants if instant.time_ns < times_ns["test"][0]]
     later = world.instants[len(earlier) :]
     before = _associated(world, earlier, detected, part(progress, 0.0, 0.4))
+    nothing = np.empty(0, dtype=np.int64)
+    doubtful = {frame: boxes.where(nothing) for frame, boxes in detected.items()}
     if of_detector is not None:
         confirmed = dict(detected)
-        before = _confirmed(earlier, before, of_detector, confirmed)
+        before = _confirmed(earlier, before, of_detector, confirmed, doubtful)
         # their vehicles are found again, beside all others, by the stages after
-        _confirmed(later, _associated(world, later, detected), of_detector, confirmed)
+        _confirmed(later, _associated(world, later, detected), of_detector, confirmed, doubtful)
         detected = confirmed
     split = Split(times_ns=times_ns, left_out_tracks=seen_later(before, times_ns))
     own = part(progress, 0.4, 1.0)
     teaching = _teaching_tracks(before, split)
     taught = teaching | broken_tracks(before, teaching, times_ns["train"][-1], options.associate)
     agreement = held_out_agreement(judging(before, split), world.rig, options.lift, own, taught=taught)
-    return Settled(detected, before, split, agreement)
+    return Settled(detected, before, split, agreement, doubtful)
 
 
 def agreement_before_teaching(world: World, state: Settled, progress: Progress = silent) -> HeldOutAgreement:
@@ -137,6 +141,7 @@ def _confirmed(
     instants: Sequence[AnnotatedInstant],
     of_detector: ToldApart,
     kept: dict[FrameKey, Boxes2D],
+    doubtful: dict[FrameKey, Boxes2D],
 ) -> list[AnnotatedInstant]:
     """Without the boxes that the detector has none for, of vehicles that never two cameras saw at once.
 
@@ -147,6 +152,7 @@ def _confirmed(
         instants: with their vehicles.
         of_detector: what the detector found.
         kept: all boxes of the frames; those that are dropped are taken from it.
+        doubtful: gets those that are dropped and lie on no scenery.
     """
     together: Counter[int] = Counter()
     seen_at: Counter[int] = Counter()
@@ -170,6 +176,7 @@ def _confirmed(
             known = image_iou(seen.boxes, of_detector.trusted[frame].boxes).max(axis=1, initial=0.0) > SAME_IOU
             on_scenery = among(seen.boxes, of_detector.on_scenery[frame].boxes)
             out[camera_id] = ~known & ~np.where(on_scenery, mostly[camera_id], confirmed[camera_id])
+            doubtful[frame] = kept[frame].where(out[camera_id] & ~on_scenery)
             kept[frame] = kept[frame].where(~out[camera_id])
         left.append(without(instant, out))
     return left

@@ -55,6 +55,19 @@ def test_noise_and_passing_shadows_are_averaged_out():
     assert np.abs(background.image.astype(int) - 120).max() < 16
 
 
+def test_what_two_images_surely_show_decides_and_what_one_shows_does_not():
+    still, stands = _scene(5), _scene(5)
+    stands[10:20, 20:40] = 255  # no box says so
+    images, boxes = [stands] * 9 + [still] * 3, [np.empty((0, 4))] * 12
+    for sure, expected in ((2, still), (1, stands)):
+        uncovered = [np.zeros((HEIGHT, WIDTH), np.uint8) for _ in images]
+        for shown in uncovered[-sure:]:
+            shown[10:20, 20:40] = 255
+        background = still_background(images, boxes, uncovered)
+        np.testing.assert_array_equal(background.image, expected)
+        assert (background.known == 255).all()
+
+
 def test_boxes_may_reach_beyond_the_image():
     background = still_background([_scene(3)] * 5, [np.array([[-0.5, -0.5, 10.0, 10.0], [50.0, 30.0, 59.5, 39.5]])] * 5)
     assert background.known[0, 0] == 0 and background.known[-1, -1] == 0 and background.known[20, 30] == 255

@@ -60,6 +60,31 @@ def test_a_soft_shadow_is_none_even_where_it_falls_on_a_white_line() -> None:
     assert len(stillness(ground()).silhouettes(noisy(shaded, 99, sd=1.0))) == 0
 
 
+def test_ground_is_told_from_who_covers_it_whichever_of_them_the_background_shows() -> None:
+    """Also where the ground has a texture and who covers it has none."""
+    texture = np.random.default_rng(1).integers(-5, 6, (HEIGHT, WIDTH, 1))
+    free = (ground() + texture).astype(np.uint8)
+    body = free.copy()
+    body[BODY] = (30, 28, 26)
+    boxes, uncovered = stillness(free).told_apart(noisy(body, 99))
+    assert len(boxes) == 1 and iou(boxes[0], BOX) > 0.85 and not uncovered.any()
+    boxes, uncovered = stillness(body).told_apart(noisy(free, 99))
+    assert len(boxes) == 0 and (uncovered[BODY] > 0).mean() > 0.9
+    uncovered[95:145, 115:205] = 0
+    assert not uncovered.any()
+
+
+def test_what_is_usual_is_told_by_images_in_which_nobody_stands() -> None:
+    body = ground()
+    body[BODY] = (70, 72, 74)
+    images = [noisy(body if k < 9 else ground(), k) for k in range(12)]
+    boxes = [BOX[None] if k < 9 else np.empty((0, 4)) for k in range(12)]
+    still = StillBackground(ground(), np.full((HEIGHT, WIDTH), 255, np.uint8))
+    (found,) = Stillness.of(still, images, boxes).silhouettes(noisy(body, 99))
+    assert iou(found, BOX) > 0.85
+    assert len(Stillness.of(still, images).silhouettes(noisy(body, 99))) == 0
+
+
 def test_what_always_flickers_is_none_and_a_body_beside_it_is_one() -> None:
     def with_leaves(seed: int) -> np.ndarray:
         image = ground()

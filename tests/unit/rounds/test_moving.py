@@ -1,5 +1,6 @@
 """What moves, beside what a detector found."""
 
+from collections.abc import Callable
 from pathlib import Path
 
 import cv2
@@ -33,7 +34,14 @@ def place_m(number: int) -> float:
     return -23.0 + 2.0 * number
 
 
-def recorded(folder: Path, size_m: tuple[float, float, float]) -> tuple[World, dict[FrameKey, np.ndarray]]:
+def queueing_m(number: int) -> float:
+    """It stands in the middle for most of the time, and then drives off."""
+    return max(0.0, 3.0 * (number - 15))
+
+
+def recorded(
+    folder: Path, size_m: tuple[float, float, float], way: Callable[[int], float] = place_m
+) -> tuple[World, dict[FrameKey, np.ndarray]]:
     """A block of a size drives before one camera; where it is seen, px of the recording."""
     rig = CameraRig({CAMERA: corner_rig()[CAMERA]})
     camera = rig[CAMERA]
@@ -43,7 +51,7 @@ def recorded(folder: Path, size_m: tuple[float, float, float]) -> tuple[World, d
     with FrameStoreWriter(folder, 95) as writer:
         for number in range(INSTANTS):
             time_ns = number * 200_000_000
-            pixels, _ = camera.project(corners(place_m(number), size_m))
+            pixels, _ = camera.project(corners(way(number), size_m))
             image = np.clip(still + rng.normal(0.0, 2.0, still.shape), 0, 255).astype(np.uint8)
             seen = bool(camera.contains(pixels).all())
             if seen:
@@ -62,7 +70,7 @@ def recorded(folder: Path, size_m: tuple[float, float, float]) -> tuple[World, d
 def test_a_vehicle_that_no_detector_found_is_found(tmp_path: Path) -> None:
     world, boxes = recorded(tmp_path, (4.4, 1.8, 1.5))
     frames = frames_of(world.instants)
-    found, _ = beside_what_moves(world, dict.fromkeys(frames, NOTHING))
+    found = beside_what_moves(world, dict.fromkeys(frames, NOTHING)).found
     assert list(found) == frames
     there = [frame for frame in frames if len(boxes[frame])]
     overlaps = [image_iou(found[frame].boxes, boxes[frame]).max(initial=0.0) for frame in there]
@@ -72,10 +80,20 @@ def test_a_vehicle_that_no_detector_found_is_found(tmp_path: Path) -> None:
     assert {score for of in found.values() for score in of.scores} == {world.options.detect.min_score}
 
 
+def test_one_that_stood_for_most_of_the_time_is_found_while_it_stood_and_no_ghost_is_left(tmp_path: Path) -> None:
+    world, boxes = recorded(tmp_path, (4.4, 1.8, 1.5), queueing_m)
+    frames = frames_of(world.instants)
+    found = beside_what_moves(world, dict.fromkeys(frames, NOTHING)).found
+    overlaps = [image_iou(found[f].boxes, boxes[f]).max(initial=0.0) for f in frames if len(boxes[f])]
+    assert len(overlaps) > 16 and np.mean(np.array(overlaps) > 0.6) > 0.9
+    gone = [frame for frame in frames if not len(boxes[frame])]
+    assert gone and not any(len(found[frame].boxes) for frame in gone)
+
+
 @pytest.mark.parametrize("size_m", [(0.5, 0.5, 0.6), (12.0, 12.0, 9.0)], ids=["dog", "house"])
 def test_what_is_no_vehicle_by_its_size_is_not(tmp_path: Path, size_m: tuple[float, float, float]) -> None:
     world, _ = recorded(tmp_path, size_m)
-    found, _ = beside_what_moves(world, dict.fromkeys(frames_of(world.instants), NOTHING))
+    found = beside_what_moves(world, dict.fromkeys(frames_of(world.instants), NOTHING)).found
     assert sum(len(of.boxes) for of in found.values()) <= 2
 
 
@@ -92,7 +110,7 @@ def test_a_silhouette_takes_the_place_of_the_one_box_in_it(tmp_path: Path) -> No
         )
         for frame, box in boxes.items()
     }
-    found, _ = beside_what_moves(world, known)
+    found = beside_what_moves(world, known).found
     there = [frame for frame in found if len(boxes[frame])]
     assert all(len(found[frame].boxes) == 1 and found[frame].scores[0] == 0.7 for frame in there)
     overlaps = [image_iou(found[frame].boxes, boxes[frame]).max() for frame in there]
@@ -106,7 +124,7 @@ def test_nobody_on_foot_becomes_a_vehicle(tmp_path: Path) -> None:
         left_fifth = box * [1.0, 1.0, 0.2, 1.0] + np.roll(box, 2, axis=1) * [0.0, 0.0, 0.8, 0.0]
         unknown = np.full_like(box, np.nan)
         known[frame] = Boxes2D(left_fifth, np.full(len(box), 0.7), np.full(len(box), foot), unknown, unknown)
-    found, _ = beside_what_moves(world, known)
+    found = beside_what_moves(world, known).found
     for frame, of in known.items():
         np.testing.assert_array_equal(found[frame].boxes[found[frame].classes == foot], of.boxes)
 
@@ -119,7 +137,7 @@ def test_the_boxes_of_several_vehicles_in_a_row_stay(tmp_path: Path) -> None:
         middle = (x0 + x1) / 2
         halves = np.concatenate([np.stack([x0, y0, middle, y1], 1), np.stack([middle, y0, x1, y1], 1)])
         known[frame] = Boxes2D(halves, np.full(len(halves), 0.7), np.full(len(halves), 1), halves, halves)
-    found, _ = beside_what_moves(world, known)
+    found = beside_what_moves(world, known).found
     for frame, of in found.items():
         np.testing.assert_array_equal(np.sort(of.boxes, axis=0), np.sort(known[frame].boxes, axis=0))
 
@@ -131,12 +149,12 @@ def test_boxes_on_what_never_changes_are_told_apart_and_hide_nothing_that_passes
     on_road = boxes[there[len(there) // 2]][0]
     always = np.array([[20.0, 20.0, 90.0, 60.0], on_road, [0.0, 0.0, 639.0, 359.0]])
     known = {f: Boxes2D(always, np.full(3, 0.9), np.ones(3, np.int64), always, always) for f in boxes}
-    found, told_apart = beside_what_moves(world, known)
+    _, told_apart, _ = beside_what_moves(world, known)
     for frame in boxes:
         np.testing.assert_array_equal(told_apart.on_scenery[frame].boxes, always[[0, 2]])
         np.testing.assert_array_equal(told_apart.trusted[frame].boxes, always[[1]])  # somebody has been there
     # without the box on the road, which may be who stood there, nothing hides who passes
     scenery = {f: of.where(np.array([0, 2])) for f, of in known.items()}
-    found, _ = beside_what_moves(world, scenery)
+    found = beside_what_moves(world, scenery).found
     overlaps = [image_iou(found[frame].boxes, boxes[frame]).max(initial=0.0) for frame in there]
     assert np.mean(np.array(overlaps) > 0.6) > 0.9

@@ -16,6 +16,7 @@ from wibam_core.networks.registry import load_to_detect
 from wibam_core.progress import silent
 from wibam_core.rounds import rounds
 from wibam_core.rounds.agreement import held_out_agreement
+from wibam_core.rounds.moving import BesideWhatMoves
 from wibam_core.rounds.rounds import run_rounds
 from wibam_core.rounds.scenery import ToldApart
 from wibam_core.rounds.settled import judging, settled, teaching_fits
@@ -51,9 +52,15 @@ def overlooking(detected: Detected, share: float) -> dict[FrameKey, Boxes2D]:
     return few
 
 
-def beside(found: Detected, of_detector: Detected) -> tuple[Detected, ToldApart]:
+def beside(found: Detected, of_detector: Detected) -> BesideWhatMoves:
     """What moves beside what a detector found, none of it on scenery."""
-    return dict(found), ToldApart.unasked(of_detector)
+    return BesideWhatMoves(dict(found), ToldApart.unasked(of_detector), {})
+
+
+def again(found: Detected, by_itself: Detected | None = None) -> rounds._FoundAgain:
+    """What a network finds, none of it on scenery."""
+    alone = found if by_itself is None else by_itself
+    return rounds._FoundAgain(dict(found), dict(alone), ToldApart.unasked(found).on_scenery)
 
 
 def finding(monkeypatch: pytest.MonkeyPatch, *found: Detected) -> list[int]:
@@ -65,7 +72,7 @@ def finding(monkeypatch: pytest.MonkeyPatch, *found: Detected) -> list[int]:
         return rounds._Taught(None, 7, 70)  # type: ignore[arg-type]
 
     monkeypatch.setattr(rounds, "_taught", teach)
-    monkeypatch.setattr(rounds, "_found_again", lambda world, detected, network, progress: left.pop(0))
+    monkeypatch.setattr(rounds, "_found_again", lambda *given: again(left.pop(0)))
     return taught
 
 
@@ -147,9 +154,9 @@ def test_a_network_is_taught_only_where_what_moves_is_not_enough(
     places: list[int] = []
     more = overlooking(detected, 0.25)
 
-    def found_again(world: World, before: Detected, network: object, progress: object) -> Detected:
+    def found_again(world: World, before: Detected, *others: object) -> rounds._FoundAgain:
         places.append(sum(len(boxes.boxes) for boxes in before.values()))
-        return detected
+        return again(detected)
 
     taught = finding(monkeypatch)
     monkeypatch.setattr(rounds, "_found_again", found_again)
@@ -158,6 +165,45 @@ def test_a_network_is_taught_only_where_what_moves_is_not_enough(
     assert taught == [2] and document.kept == 2
     assert [one.source for one in document.rounds] == ["detector", "motion", "network"]
     assert places[0] > 1.01 * sum(len(boxes.boxes) for boxes in few.values())
+
+
+def test_a_network_is_taught_where_the_detector_knows_few_of_those_that_move(
+    everything: tuple[World, dict[FrameKey, Boxes2D]], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Views agree then, of what moves; of who stands nothing is known but by a network."""
+    world, detected = everything
+    world = replace(world, options=options(most=3, enough=RoundsConfig().enough, motion=True))
+    few = overlooking(detected, 0.55)
+    monkeypatch.setattr(rounds, "beside_what_moves", lambda world, found, progress: beside(dict(detected), found))
+    taught = finding(monkeypatch, detected)
+    _, document = run_rounds(world, few)
+    assert taught == [2] and [one.source for one in document.rounds] == ["detector", "motion", "network"]
+    none, of_detector, of_network = (one.known_share for one in document.rounds)
+    assert none is None and 0.2 < (of_detector or 0) < 0.6 and (of_network or 0) > 0.95
+    assert (document.rounds[1].agreement.found or 0) > 0.9
+
+
+def test_what_no_camera_confirmed_is_not_judged_where_it_teaches(
+    everything: tuple[World, dict[FrameKey, Boxes2D]],
+) -> None:
+    world, detected = everything
+    one = np.array([[300.0, 300.0, 330.0, 318.0]])
+    unknown = np.full((1, 4), np.nan)
+    more = Boxes2D(one, np.ones(1), np.zeros(1, np.int64), unknown, unknown)
+    haunted = {
+        frame: Boxes2D(*(np.concatenate(both) for both in zip(boxes, more, strict=True)))
+        if frame.camera_id == "cam1"
+        else boxes
+        for frame, boxes in detected.items()
+    }
+    nothing = ToldApart.unasked(detected).on_scenery
+    of_scenery = {frame: more if frame.camera_id == "cam1" else nothing[frame] for frame in detected}
+    moves, stands = (
+        settled(world, haunted, of_detector=ToldApart(detected, scenery)).doubtful for scenery in (nothing, of_scenery)
+    )
+    frames = [frame for frame in detected if frame.camera_id == "cam1"]
+    assert np.mean([(moves[frame].boxes == one).all(axis=1).any() for frame in frames]) > 0.8
+    assert not any((stands[frame].boxes == one).all(axis=1).any() for frame in frames)
 
 
 def test_what_moves_is_looked_for_where_the_detector_found_nothing(
@@ -303,7 +349,7 @@ def test_a_round_teaches_and_looks_again_in_all_frames(tmp_path: Path) -> None:
     assert found.keys() == detected.keys() and [one.number for one in document.rounds] == [0, 1]
     assert (document.rounds[1].taught_vehicles or 0) > 0
     # a network that two steps taught sees nothing in grey images: what the detector found is looked at a second time
-    looked = settled(world, rounds._found_again(world, detected, load_to_detect(world.start), silent))
+    looked = settled(world, rounds._found_again(world, detected, load_to_detect(world.start), {}, silent).boxes)
     assert looked.detected.keys() == detected.keys()
     for frame, boxes in looked.detected.items():
         assert len(boxes.boxes) <= len(detected[frame].boxes) + 2

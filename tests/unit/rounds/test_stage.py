@@ -23,6 +23,7 @@ from wibam_core.detection.instants import by_frame
 from wibam_core.documents.calibration import CalibrationResiduals
 from wibam_core.formats.framestore import FrameStoreWriter
 from wibam_core.rounds import rounds
+from wibam_core.rounds.scenery import ToldApart
 from wibam_core.scene import Boxes2D, FrameKey
 from wibam_core.stages import rounds as stage
 from wibam_core.stages.graph import InputDigests, plan
@@ -83,7 +84,8 @@ def test_the_boxes_of_the_round_that_is_kept_are_written(
 ) -> None:
     _, everything = by_frame(crossing().unassociated[::4])
     monkeypatch.setattr(rounds, "_taught", lambda world, state, number, progress: rounds._Taught(None, 7, 70))
-    monkeypatch.setattr(rounds, "_found_again", lambda world, detected, network, progress: everything)
+    nothing = ToldApart.unasked(everything).on_scenery
+    monkeypatch.setattr(rounds, "_found_again", lambda *given: rounds._FoundAgain(everything, everything, nothing))
     summary = run(folders, RoundsConfig(most=1, motion=False))
     assert (summary["rounds"], summary["kept"]) == (1, 1)
     json.dumps(summary)
