@@ -23,7 +23,6 @@ from benchmarks.real_errors import along_and_across, repaired
 from benchmarks.real_measures import tracks_at
 from wibam_core.artifacts.access import ArtifactReader
 from wibam_core.artifacts.catalogue import DETECTIONS, FITS, RIG, ROUND_DETECTIONS, SPLIT, TRACKS
-from wibam_core.errors import NotFound
 from wibam_core.evaluation.labels_at import LabelTimeline
 from wibam_core.evaluation.matching import assign, match_on_ground
 from wibam_core.evaluation.metrics import METRICS, compare
@@ -185,11 +184,8 @@ def measure(site: Path, outputs: ArtifactReader) -> dict[str, Row]:
     kinds["fits"] = of_boxes(site, middle, ((v.time_ns, v.boxes) for v in fits))
     test = set(outputs.read(SPLIT).times_ns["test"])
     kinds["fits of the test part"] = of_boxes(site, middle, ((v.time_ns, v.boxes) for v in fits if v.time_ns in test))
-    try:
+    if outputs.has(TRACKS):
         tracks = list(outputs.read(TRACKS))
-    except NotFound:
-        tracks = []
-    if tracks:
         times = [v.time_ns for v in fits]
         kinds["tracks"] = of_boxes(site, middle, ((t, tracks_at(tracks, t)) for t in times))
     found = {}

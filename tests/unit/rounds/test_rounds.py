@@ -213,7 +213,7 @@ def test_what_moves_is_looked_for_where_the_detector_found_nothing(
     nothing = {frame: some(boxes, np.empty(0, np.int64)) for frame, boxes in detected.items()}
     taught = finding(monkeypatch)
     monkeypatch.setattr(rounds, "beside_what_moves", lambda world, found, progress: beside(dict(detected), found))
-    found, document = run_rounds(replace(world, options=options(enough=0.5, motion=True)), nothing)
+    found, document = run_rounds(replace(world, options=options(most=0, enough=0.5, motion=True)), nothing)
     assert taught == [] and document.kept == 1
     assert sum(len(boxes.boxes) for boxes in found.values()) > 100
 
