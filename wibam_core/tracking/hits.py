@@ -112,3 +112,15 @@ def hits_of_arrays(arrays: Mapping[str, NDArray[Any]]) -> list[Hit]:
         )
         for k, (time_ns, first, end) in enumerate(zip(arrays["hit_times_ns"], [0, *views], views, strict=False))
     ]
+
+
+def of_fused_boxes(arrays: Mapping[str, NDArray[Any]]) -> dict[str, NDArray[Any]]:
+    """What is missing in arrays of versions before 0.7, which kept fused boxes alone: each counts as one camera's."""
+    count = len(arrays["hit_times_ns"])
+    return {
+        "cameras": np.array(["fused"], np.str_),
+        "hit_views": np.ones(count, np.int64),
+        "view_cameras": np.zeros(count, np.int64),
+        "view_poses": arrays["hit_box"][:, POSE],
+        "view_pose_sd": arrays["hit_sd"][:, POSE],
+    }

@@ -18,7 +18,7 @@ from wibam_core.geometry.iou import bev_iou
 from wibam_core.road_users import CLASSES, may_be_one
 from wibam_core.scene import Track, Vehicles3D
 from wibam_core.tracking.fusion import REACH, Detected, Fused, fuse, ground_distance
-from wibam_core.tracking.hits import Hit, came_nowhere, hits_of_arrays, hits_to_arrays, seen_often
+from wibam_core.tracking.hits import Hit, came_nowhere, hits_of_arrays, hits_to_arrays, of_fused_boxes, seen_often
 from wibam_core.tracking.models import WALKS, model_of
 from wibam_core.tracking.motion import STATES, Belief, Measurement, MotionModel, innovation, squared_distance, update
 from wibam_core.tracking.trajectory import to_tracks
@@ -272,6 +272,8 @@ class Tracker:
         Raises:
             ValueError: they have another shape than this version's.
         """
+        if "hit_views" not in arrays:
+            arrays = {**arrays, **of_fused_boxes(arrays)}
         self._active = _Candidates.of_arrays(arrays)
         self._instants = arrays["instants"].tolist()
         self._cameras = {str(camera_id): number for number, camera_id in enumerate(arrays["cameras"])}
