@@ -37,7 +37,7 @@ def asked(signed_in: Visit) -> list[tuple[str, int]]:
 
     def count(response: Any) -> None:
         if "/frame" not in response.url and response.request.resource_type != "eventsource":
-            found.append((response.url, int(response.headers.get("content-length", 0))))
+            found.append((response.url, int(response.headers["content-length"])))
 
     signed_in.page.on("response", count)
     return found

@@ -103,7 +103,8 @@ def render(seed: int, regime: Regime, count: int, size_px: tuple[int, int]) -> l
 class PoolPlan:
     """Which views to render, and when: ``shard`` views every ``steps_per_shard`` steps, up to ``images``.
 
-    Of ten sites ``varied_of_ten`` have varied views (`wibam_core.synthetic.varied_sampling`), of their own size.
+    Of ten sites ``varied_of_ten`` have varied views (`wibam_core.synthetic.varied_sampling`), of their own size, for
+    which ``near`` says how many show a vehicle from close by.
     """
 
     seed: int
@@ -113,6 +114,7 @@ class PoolPlan:
     steps_per_shard: int
     size_px: tuple[int, int]
     varied_of_ten: int = 0
+    near: float = 0.0
 
     @classmethod
     def within(
@@ -128,7 +130,7 @@ class PoolPlan:
     def views(self, first: int, count: int) -> Iterable[RenderedView]:
         """So many views of one site, of which ``first`` were planned before."""
         if first // VIEWS_PER_SITE % 10 < self.varied_of_ten:
-            return sample_varied_views(self.seed + first, count)
+            return sample_varied_views(self.seed + first, count, near=self.near)
         return sample_views(self.seed + first, self.regime, count, size_px=self.size_px)
 
     def part(self, number: int, parts: int) -> PoolPlan:

@@ -137,6 +137,7 @@ def main() -> None:
     parser.add_argument("--out", type=Path, default=Path("build/pretrain_detector"), help="folder for weights and log")
     add_options(parser, steps=3000, images=1200)
     parser.add_argument("--varied", type=int, default=6, metavar="N", help="of ten sites, so many have varied views")
+    parser.add_argument("--near", type=float, default=0.0, help="share of varied cameras aimed at a vehicle close by")
     parser.add_argument("--start", type=Path, help="exported detector to go on from")
     arguments = parser.parse_args()
     device = prepare(arguments)
@@ -144,7 +145,7 @@ def main() -> None:
     plan = PoolPlan.within(
         arguments.steps, TRAINING_SEED + arguments.seed, "elevated", arguments.images, arguments.shard, RENDERED_PX
     )
-    plan = replace(plan, varied_of_ten=arguments.varied)
+    plan = replace(plan, varied_of_ten=arguments.varied, near=arguments.near)
     network = Detector2D()
     if arguments.start:
         usual = np.stack([view.image for view in render(TRAINING_SEED - 20, "elevated", 20, (WIDTH_PX, HEIGHT_PX))])

@@ -31,8 +31,8 @@ Array = NDArray[np.float64]
 _HEIGHT_M = (2.0, 14.0)
 #: Share of vehicles that look as in simulated traffic.
 _USUAL_BODIES = 0.15
-#: Share of views that are aimed at one vehicle, and how large a car there is, in image widths.
-_AIMED, _LARGE = 0.7, (0.035, 0.6)
+#: Share of views that are aimed at one vehicle, and how large a car there is, in image widths, mostly and when near.
+_AIMED, _LARGE, _NEAR = 0.7, (0.035, 0.6), (0.2, 0.7)
 _FOCAL = (0.5, 2.0)
 _AWAY_M = (5.0, 90.0)
 _MOMENTS = 2
@@ -41,11 +41,14 @@ _CLEAR_M = 6.0
 _TRIES = 40
 
 
-def sample_varied_views(seed: int, count: int, size_px: tuple[int, int] = (640, 360)) -> Iterator[RenderedView]:
+def sample_varied_views(
+    seed: int, count: int, size_px: tuple[int, int] = (640, 360), near: float = 0.0
+) -> Iterator[RenderedView]:
     """Varied views, 2–14 m high, of the intersection number ``seed``; the same arguments give the same views.
 
     Every `VIEWS_PER_MOMENT` views the light and all materials change. Each camera is used for `_MOMENTS` views in a
-    row, of other traffic: what stands still is painted once, and a detector sees it with and without vehicles.
+    row, of other traffic: what stands still is painted once, and a detector sees it with and without vehicles. Of the
+    cameras that are aimed at a vehicle, the share ``near`` sees it large.
     """
     plain = make_layout(seed)
     routes = make_routes(plain)
@@ -58,7 +61,7 @@ def sample_varied_views(seed: int, count: int, size_px: tuple[int, int] = (640, 
         for number in range(min(VIEWS_PER_MOMENT, count - first)):
             models, boxes = moments[number % _MOMENTS]
             if number % _MOMENTS == 0:
-                camera = _camera(layout, boxes, rng, size_px)
+                camera = _camera(layout, boxes, rng, size_px, near)
                 renderer = TexturedRenderer(layout, lighting, camera, materials)
             yield rendered(renderer, models, boxes, np.arange(len(boxes)), rng)
 
@@ -83,7 +86,7 @@ def _varied_lighting(rng: np.random.Generator) -> Lighting:
     )
 
 
-def _camera(layout: Layout, boxes: Array, rng: np.random.Generator, size_px: tuple[int, int]) -> Camera:
+def _camera(layout: Layout, boxes: Array, rng: np.random.Generator, size_px: tuple[int, int], near: float) -> Camera:
     """A camera that looks at the middle, or at one vehicle from anywhere, with nothing large between."""
     aimed = len(boxes) > 0 and rng.random() < _AIMED
     for _ in range(_TRIES):
@@ -94,7 +97,8 @@ def _camera(layout: Layout, boxes: Array, rng: np.random.Generator, size_px: tup
             continue
         target = boxes[int(rng.integers(len(boxes))), XYZ]
         focal = float(np.exp(rng.uniform(*np.log(_FOCAL))))
-        away = float(np.clip(focal * 4.5 / np.exp(rng.uniform(*np.log(_LARGE))), *_AWAY_M))
+        size = float(rng.uniform(*_NEAR) if near and rng.random() < near else np.exp(rng.uniform(*np.log(_LARGE))))
+        away = float(np.clip(focal * 4.5 / size, *_AWAY_M))
         angle, height = rng.uniform(-np.pi, np.pi), rng.uniform(*_HEIGHT_M)
         flat = np.sqrt(max(away**2 - height**2, (0.5 * away) ** 2))
         place = np.array([*(target[:2] + flat * np.array([np.cos(angle), np.sin(angle)])), height])

@@ -42,6 +42,14 @@ def test_views_follow_from_the_seed_and_are_consistent() -> None:
     assert not np.array_equal(one[0].vehicles.boxes, one[1].vehicles.boxes)
 
 
+def test_near_cameras_see_vehicles_large() -> None:
+    def largest(near: float) -> float:
+        views = [view for seed in range(6) for view in sample_varied_views(seed, 1, SIZE, near)]
+        return float(np.median([np.ptp(view.amodal_boxes[:, ::2], axis=1).max(initial=0.0) for view in views]))
+
+    assert largest(1.0) > max(0.2 * SIZE[0], 1.2 * largest(0.0))
+
+
 def test_looks_change_no_truth() -> None:
     """What is seen of each vehicle is what the plain renderer says; only colours differ."""
     layout = replace(make_layout(5), trees=())
