@@ -123,7 +123,7 @@ def test_files_of_a_camera_are_one_piece_of_footage_on_unix_time(runs: Runs) -> 
         true = np.array([truth(int(time_ns) - BEGIN_NS)[:, :2] for time_ns in track.times_ns])
         off = np.abs(track.boxes[:, None, :2] - true).max(axis=(0, 2))
         assert off.min() < 0.5, "it is one of the two all along"
-    assert runs.warnings == ["recording_gap"]
+    assert runs.warnings == ["recording_gap", "few_pictures"]
 
 
 def test_a_camera_that_was_off_does_not_blind_the_other(runs: Runs) -> None:
@@ -193,7 +193,7 @@ def test_what_is_unusual_is_said(runs: Runs) -> None:
     usual = runs.root / "usual.npz"
     write_usual(usual, Usual({"cam1": np.full((360, 640), 90, np.uint8)}, {"cam1": Found(100, 1000, 1.0)}))
     _, watched = read(runs.run({"cam1": runs.files(0.0)}, usual=usual))
-    assert runs.warnings == ["background_unlike", "scores_fell"]
+    assert runs.warnings == ["few_pictures", "background_unlike", "scores_fell"]
     assert watched.turns == []
     assert watched.cameras["cam1"].usual_score == pytest.approx(1.0)
 
