@@ -112,6 +112,8 @@ class LiftStatistics(Document):
     fits: int
     kept: int
     """Fits that are good enough to train on."""
+    doubled: int = 0
+    """Good ones that were left out, as they stand in another vehicle's: one vehicle that was associated as two."""
     tracks: int
     kept_share: float | None = None
     residual_limit: float | None = None

@@ -17,6 +17,7 @@ from wibam_core.geometry.camera import Camera
 from wibam_core.geometry.se3 import SE3, normalise_angle
 from wibam_core.geometry.torch_ops import CameraTensors
 from wibam_core.lifting.confidence import confidence
+from wibam_core.lifting.doubles import doubled
 from wibam_core.lifting.edge_offsets import EdgeOffsets, learn_edge_offsets
 from wibam_core.lifting.fit import (
     LOG_SIZE,
@@ -174,9 +175,13 @@ def lift(
     scores = confidence(residual, views, sd, boxes, limit)
     certain = np.hypot(sd[:, X], sd[:, Y]) <= config.few_views_sd_m
     keep = (residual <= limit) & ((views >= config.min_views) | certain)
+    good = np.flatnonzero(keep)
+    double = doubled(boxes[good], seen.classes[good], seen.instants[good], seen.tracks[good], scores[good])
+    keep[good[double]] = False
     vehicles = _by_instant(instants, seen, keep, boxes, _box_sd(sd, boxes), scores)
     progress(1.0, "lifted")
-    return LiftResult(vehicles, _statistics(seen, residual, keep, noise, lasting, shapes, offsets, limit))
+    statistics = _statistics(seen, residual, keep, noise, lasting, shapes, offsets, limit)
+    return LiftResult(vehicles, statistics.model_copy(update={"doubled": int(double.sum())}))
 
 
 def residual_limit(residual: FloatArray, views: FloatArray, config: LiftConfig) -> float:
