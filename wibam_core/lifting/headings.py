@@ -2,7 +2,8 @@
 
 A vehicle turns only as far as it drives. Places err by jumps whenever another camera begins or stops to see a vehicle,
 and a jump of a standing vehicle looks like motion. How far a course is believed therefore depends on the way made
-around it, and between two moments a heading may change only by what the way between them allows.
+around it, as far as pictures confirm it (`way_seen`), and between two moments a heading may change only by what the way
+between them allows.
 """
 
 from __future__ import annotations
@@ -19,7 +20,7 @@ from wibam_core.scene import FloatArray, IntArray
 
 #: How far a course (the direction of the velocity) is believed depends on the way that the vehicle makes in this many
 #: seconds before and after.
-_HALF_WINDOW_S = 1.5
+HALF_WINDOW_S = 1.5
 #: A track has a heading by motion if the standard deviation of one of its courses is at most this, rad.
 _KNOWN_SD_RAD = 0.35
 #: Courses with a larger standard deviation than this are not looked at, rad.
@@ -56,7 +57,9 @@ class _Way:
     speed_mps: FloatArray
 
 
-def headings(tracks: Tracks, classes: IntArray, motion: Motion, jump_m: float) -> Headings:
+def headings(
+    tracks: Tracks, classes: IntArray, motion: Motion, jump_m: float, seen_share: FloatArray | None = None
+) -> Headings:
     """Direction of travel where a vehicle moves; where it stands, what it was before and will be after.
 
     Args:
@@ -64,8 +67,9 @@ def headings(tracks: Tracks, classes: IntArray, motion: Motion, jump_m: float) -
         classes: (M,) of the tracks, indices into `wibam_core.road_users.CLASSES`.
         motion: of them, smoothed.
         jump_m: standard deviation of the places' errors that do not average out over time.
+        seen_share: (M, T) how much of the way made around each moment the pictures confirm, 0 to 1; all if not given.
     """
-    way = _way(tracks, motion, jump_m)
+    way = _way(tracks, motion, jump_m, np.ones(tracks.valid.shape) if seen_share is None else seen_share)
     speed = np.linalg.norm(motion.velocity, axis=-1)
     course = np.arctan2(motion.velocity[..., 1], motion.velocity[..., 0])
     course_sd = np.hypot(_course_sd(motion, speed), np.sqrt(2) * jump_m / np.maximum(way.made_m, 1e-6))
@@ -85,13 +89,13 @@ def headings(tracks: Tracks, classes: IntArray, motion: Motion, jump_m: float) -
     return Headings(np.where(known[:, None], yaw, 0.0), np.where(known[:, None], sd, np.inf))
 
 
-def _way(tracks: Tracks, motion: Motion, jump_m: float) -> _Way:
+def _way(tracks: Tracks, motion: Motion, jump_m: float, seen_share: FloatArray) -> _Way:
     made, speed = np.zeros(tracks.valid.shape), np.zeros(tracks.valid.shape)
     for k, count in enumerate(tracks.valid.sum(axis=1)):
         times, places = tracks.times_s[k, :count], motion.position[k, :count]
-        first, last = np.maximum(times - _HALF_WINDOW_S, times[0]), np.minimum(times + _HALF_WINDOW_S, times[-1])
+        first, last = np.maximum(times - HALF_WINDOW_S, times[0]), np.minimum(times + HALF_WINDOW_S, times[-1])
         moved = [np.interp(last, times, places[:, axis]) - np.interp(first, times, places[:, axis]) for axis in (0, 1)]
-        made[k, :count] = np.hypot(*moved)
+        made[k, :count] = np.hypot(*moved) * seen_share[k, :count]
         beyond = np.maximum(made[k, :count] - 1.5 * jump_m, 0.0)
         speed[k, :count] = beyond / np.maximum(last - first, 1e-3)
     return _Way(made, speed)

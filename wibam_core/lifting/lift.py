@@ -33,16 +33,17 @@ from wibam_core.lifting.fit import (
     with_noise,
     yaw_starts,
 )
-from wibam_core.lifting.headings import headings
+from wibam_core.lifting.headings import HALF_WINDOW_S, headings
 from wibam_core.lifting.noise import noise_of, persistence
 from wibam_core.lifting.observations import Observations, observe
 from wibam_core.lifting.orientation import standing_headings
 from wibam_core.lifting.shapes import Shapes, learn_shapes
 from wibam_core.lifting.sizes import size_information, track_sizes
 from wibam_core.lifting.trajectory import Motion, Tracks, smooth
+from wibam_core.lifting.way_seen import share_seen
 from wibam_core.progress import Progress, silent
 from wibam_core.road_users import BODIES, LOG_SIZE_MEAN, LOG_SIZE_SD
-from wibam_core.scene import AnnotatedInstant, CameraRig, FloatArray, IntArray, Vehicles3D
+from wibam_core.scene import AnnotatedInstant, CameraRig, FloatArray, Vehicles3D
 
 #: Standard deviation of the place of a vehicle whose rays form a cluster, and of one that has a single ray, m.
 _CLUSTER_SD_M, _RAY_SD_M = 0.7, 3.0
@@ -112,11 +113,12 @@ def lift(
     origin = rig_centre(rig)
     seen = replace(seen, positions=seen.positions - origin)
     tracks = Tracks.group(seen.tracks, seen.times_ns)
-    cameras = CameraTensors.from_cameras([moved(camera, -origin) for camera in rig.values()])
+    views_of = [moved(camera, -origin) for camera in rig.values()]
+    cameras = CameraTensors.from_cameras(views_of)
 
     progress(0.0, "motion of the clusters of rays")
     views = seen.seen.sum(axis=1)
-    motion, yaw, yaw_sd = clusters_in_motion(seen, tracks, config.min_views)
+    motion, yaw, yaw_sd = clusters_in_motion(seen, views_of, tracks, config.min_views)
     prior_mean, prior_sd = LOG_SIZE_MEAN[seen.classes], LOG_SIZE_SD[seen.classes]
 
     progress(0.1, f"fitting {len(seen)} vehicles one by one")
@@ -140,7 +142,7 @@ def lift(
 
     progress(0.5, "combining fits over tracks")
     motion = smooth(tracks, parameters[:, PLACE], covariance[:, PLACE, PLACE])
-    yaw, yaw_sd = _headings(tracks, seen.classes, motion, _FIT_JUMP_M)
+    yaw, yaw_sd = _headings(seen, views_of, tracks, motion, _FIT_JUMP_M)
     standing = standing_headings(tracks, parameters, covariance, yaw, yaw_sd)
     never = ~np.isfinite(yaw_sd)
     yaw, yaw_sd = np.where(never, standing.yaw_rad, yaw), np.where(never, standing.axis_sd_rad, yaw_sd)
@@ -214,17 +216,22 @@ def _worth_fitting(seen: Observations, config: LiftConfig) -> Observations:
     return seen.where(linked & (enough | (count[seen.tracks] >= config.few_views_sightings)))
 
 
-def clusters_in_motion(seen: Observations, tracks: Tracks, min_views: int) -> tuple[Motion, FloatArray, FloatArray]:
+def clusters_in_motion(
+    seen: Observations, cameras: Sequence[Camera], tracks: Tracks, min_views: int
+) -> tuple[Motion, FloatArray, FloatArray]:
     """Motion by the clusters of rays alone, yaw (N,) along it, rad, and its s.d., infinite for who never moves."""
     cluster_sd = np.where(seen.seen.sum(axis=1) >= min_views, _CLUSTER_SD_M, _RAY_SD_M)
     motion = smooth(tracks, seen.positions, cluster_sd[:, None, None] ** 2 * np.eye(2))
-    return (motion, *_headings(tracks, seen.classes, motion, _CLUSTER_JUMP_M))
+    return (motion, *_headings(seen, cameras, tracks, motion, _CLUSTER_JUMP_M))
 
 
-def _headings(tracks: Tracks, classes: IntArray, motion: Motion, jump_m: float) -> tuple[FloatArray, FloatArray]:
-    """Yaw (N,) by motion and its s.d., infinite where the vehicle never moves. ``classes`` (N,) are a track's own."""
-    count = len(classes)
-    found = headings(tracks, classes[tracks.rows[:, 0]], motion, jump_m)
+def _headings(
+    seen: Observations, cameras: Sequence[Camera], tracks: Tracks, motion: Motion, jump_m: float
+) -> tuple[FloatArray, FloatArray]:
+    """Yaw (N,) by motion and its s.d., infinite where the vehicle never moves."""
+    count = len(seen)
+    share = share_seen(seen, cameras, tracks, motion, HALF_WINDOW_S)
+    found = headings(tracks, seen.classes[tracks.rows[:, 0]], motion, jump_m, share)
     return tracks.scatter(found.yaw_rad, np.zeros(count)), tracks.scatter(found.sd_rad, np.full(count, np.inf))
 
 

@@ -83,7 +83,8 @@ def choose(instants: Sequence[AnnotatedInstant], rig: CameraRig) -> Sightings:
     origin = rig_centre(rig)
     seen = replace(seen, positions=seen.positions - origin)
     tracks = Tracks.group(seen.tracks, seen.times_ns)
-    motion, yaw, yaw_sd = clusters_in_motion(seen, tracks, 2)
+    cameras = [moved(camera, -origin) for camera in rig.values()]
+    motion, yaw, yaw_sd = clusters_in_motion(seen, cameras, tracks, 2)
     places = tracks.scatter(motion.position, seen.positions.copy())
     mounts = np.where(seen.seen, mounts_of(rig)[0][seen.cameras], -1)
     several = np.array([len(set(row) - {-1}) > 1 for row in mounts.tolist()], dtype=bool)
