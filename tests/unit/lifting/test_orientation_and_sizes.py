@@ -33,6 +33,43 @@ def test_traffic_elsewhere_tells_nothing() -> None:
     assert (found.front_sd_rad[:10] == UNKNOWN_YAW_SD_RAD).all()
 
 
+def parked_beside_a_road(lateral_m: float, lanes: dict[float, float]) -> tuple:
+    """Track 0 stands ``lateral_m`` to the left of the x axis, along it; the others drive in lanes (y: yaw)."""
+    along = np.arange(-30.0, 31.0, 1.0)
+    n = len(along)
+    tracks = np.repeat(np.arange(1 + len(lanes)), n)
+    parameters = np.zeros((len(tracks), 6))
+    parameters[:n, 1], parameters[:n, 5] = lateral_m, np.pi * (np.arange(n) % 2)
+    yaw = np.zeros(len(tracks))
+    for k, (y_m, way) in enumerate(lanes.items(), 1):
+        parameters[tracks == k, 0], parameters[tracks == k, 1] = along, y_m
+        yaw[tracks == k] = way
+    covariance = np.tile(np.eye(6) * 1e-3, (len(tracks), 1, 1))
+    return Tracks.group(tracks, np.arange(len(tracks))), parameters, covariance, yaw, np.where(tracks, 0.05, np.inf)
+
+
+@pytest.mark.parametrize(
+    ("lateral_m", "lanes", "wanted"),
+    [
+        (-4.7, {-1.8: 0.0, 1.8: np.pi}, 1.0),  # on the right of a road on which one keeps right
+        (4.7, {-1.8: 0.0, 1.8: np.pi}, -1.0),
+        (-4.7, {-1.8: np.pi, 1.8: 0.0}, -1.0),  # one keeps left
+        (0.0, {3.2: np.pi, -6.0: 0.0}, 0.0),  # in a lane of its own, beside the one that comes towards it
+        (-4.7, {-1.8: 0.0}, 0.0),  # on which side one keeps is not seen
+        (-7.0, {-1.8: 0.0, 1.8: np.pi}, 0.0),  # off the road
+    ],
+)
+def test_who_is_parked_beside_a_lane_most_likely_faces_as_it_drives(
+    lateral_m: float, lanes: dict[float, float], wanted: float
+) -> None:
+    found = standing_headings(*parked_beside_a_road(lateral_m, lanes))
+    if wanted:
+        assert np.allclose(np.cos(found.yaw_rad[:61]), wanted, atol=0.01)
+        assert (found.front_sd_rad[:61] < UNKNOWN_YAW_SD_RAD).all()
+    assert (found.front_sd_rad[:61] > 1.0).all(), "no network learns a front by it"
+    assert ((found.front_sd_rad[:61] == UNKNOWN_YAW_SD_RAD) == (wanted == 0)).all()
+
+
 def test_size_information_leaves_out_what_position_could_explain() -> None:
     jacobian = np.array([[1.0, 0, 1.0, 0, 0, 0], [1.0, 0, -1.0, 0, 0, 0], [0, 1.0, 0, 1.0, 0, 0]])
     info = size_information((jacobian.T @ jacobian)[None])[0]
