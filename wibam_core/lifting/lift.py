@@ -113,12 +113,12 @@ def lift(
     origin = rig_centre(rig)
     seen = replace(seen, positions=seen.positions - origin)
     tracks = Tracks.group(seen.tracks, seen.times_ns)
-    views_of = [moved(camera, -origin) for camera in rig.values()]
-    cameras = CameraTensors.from_cameras(views_of)
+    shifted = [moved(camera, -origin) for camera in rig.values()]
+    cameras = CameraTensors.from_cameras(shifted)
 
     progress(0.0, "motion of the clusters of rays")
     views = seen.seen.sum(axis=1)
-    motion, yaw, yaw_sd = clusters_in_motion(seen, views_of, tracks, config.min_views)
+    motion, yaw, yaw_sd = clusters_in_motion(seen, shifted, tracks, config.min_views)
     prior_mean, prior_sd = LOG_SIZE_MEAN[seen.classes], LOG_SIZE_SD[seen.classes]
 
     progress(0.1, f"fitting {len(seen)} vehicles one by one")
@@ -142,7 +142,7 @@ def lift(
 
     progress(0.5, "combining fits over tracks")
     motion = smooth(tracks, parameters[:, PLACE], covariance[:, PLACE, PLACE])
-    yaw, yaw_sd = _headings(seen, views_of, tracks, motion, _FIT_JUMP_M)
+    yaw, yaw_sd = _headings(seen, shifted, tracks, motion, _FIT_JUMP_M)
     standing = standing_headings(tracks, parameters, covariance, yaw, yaw_sd)
     never = ~np.isfinite(yaw_sd)
     yaw, yaw_sd = np.where(never, standing.yaw_rad, yaw), np.where(never, standing.axis_sd_rad, yaw_sd)
