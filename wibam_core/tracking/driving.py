@@ -25,6 +25,7 @@ from wibam_core.tracking.motion import (
     Y,
     diagonal,
     transposed,
+    without_speed,
 )
 from wibam_core.traits import Driving
 
@@ -119,6 +120,9 @@ class DrivingModel:
         bounded = mean.copy()
         bounded[..., CURVATURE] = np.clip(mean[..., CURVATURE], -self.max_curvature, self.max_curvature)
         return bounded
+
+    def halted(self, belief: Belief) -> Belief:
+        return without_speed(belief, [SPEED])
 
     def velocity(self, mean: Array) -> tuple[Array, Array]:
         yaw, speed = mean[..., YAW], mean[..., SPEED]

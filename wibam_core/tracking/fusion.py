@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -75,7 +75,6 @@ class Fused:
         votes: (K, C) sum of the scores for each class of `CLASSES`.
         headings: (K, 2) sum of the scores of the views that saw the vehicle head along the yaw, and against it.
         views: (K,) number of cameras.
-        members: what each was made of, as many detections as views, one fused box's after another's; no sd is NaN.
     """
 
     boxes: Array
@@ -83,15 +82,9 @@ class Fused:
     votes: Array
     headings: Array
     views: Indices
-    members: Detected
 
     def __len__(self) -> int:
         return len(self.boxes)
-
-    def made_of(self, number: int) -> slice:
-        """Which of the members one of the K was made of."""
-        end = int(self.views[: number + 1].sum())
-        return slice(end - int(self.views[number]), end)
 
     @property
     def classes(self) -> Indices:
@@ -112,12 +105,7 @@ def fuse(detected: Detected, radius_m: float) -> Fused:
     """
     if not len(detected):
         return Fused(
-            np.empty((0, 7)),
-            np.empty((0, 7)),
-            np.empty((0, len(CLASSES))),
-            np.empty((0, 2)),
-            np.empty(0, np.int64),
-            detected,
+            np.empty((0, 7)), np.empty((0, 7)), np.empty((0, len(CLASSES))), np.empty((0, 2)), np.empty(0, np.int64)
         )
     clusters = _cluster(detected, radius_m)
     views = np.array([len(rows) for rows in clusters], np.int64)
@@ -171,8 +159,7 @@ def _merged(members: Detected, views: Indices) -> Fused:
     """The weighted mean of each of K clusters, the members of which follow each other: views (K,) of each."""
     starts, of_member = np.cumsum(views) - views, np.repeat(np.arange(len(views)), views)
     boxes, scores = members.boxes, members.scores
-    members = replace(members, sd=np.where(np.isfinite(members.sd), members.sd, SD_UNKNOWN))
-    sd = np.hypot(members.sd, SD_FLOOR)
+    sd = np.hypot(np.where(np.isfinite(members.sd), members.sd, SD_UNKNOWN), SD_FLOOR)
     weights = scores[:, None] / sd**2
     yaw, yaw_weights = boxes[:, YAW], weights[:, YAW]
 
@@ -195,5 +182,4 @@ def _merged(members: Detected, views: Indices) -> Fused:
         votes.reshape(-1, len(CLASSES)),
         np.where(against[:, None], headings[:, ::-1], headings),
         views,
-        members,
     )

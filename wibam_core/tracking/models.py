@@ -20,48 +20,20 @@ _WALKING = WalkingModel.of([motion for motion in _MOTIONS if isinstance(motion, 
 WALKS: NDArray[np.bool_] = np.array([isinstance(motion, Walking) for motion in _MOTIONS])
 _PLACE = np.where(WALKS, np.cumsum(WALKS), np.cumsum(~WALKS)) - 1
 
-#: Who looks back at a whole track knows that most of an acceleration lasts, and most of a turn: the shares of what is
-#: not foreseen of the acceleration that come and go at once, and that last; and how much less the curvature drifts, and
-#: how many times as long it takes to straighten (benchmarks/tracking.py).
-_AT_ONCE, _LASTING = 0.25, 0.6
-_BENDS, _STRAIGHTENS = np.array([1.0, 1.0, 1.0, 1.0, 0.5]), 2.0
-_STEADY = replace(
-    _DRIVING,
-    acceleration_mps2=_AT_ONCE * _DRIVING.acceleration_mps2,
-    drift=_BENDS * _DRIVING.drift,
-    straightening_s=_STRAIGHTENS * _DRIVING.straightening_s,
-)
-#: (classes,)
-_LASTING_MPS2 = np.array([_LASTING * m.acceleration_mps2 if isinstance(m, Driving) else 0.0 for m in _MOTIONS])
-
 
 def model_of(classes: ArrayLike, lengths_m: ArrayLike) -> MotionModel:
     """The model of road users (...) of these classes, as indices into `CLASSES`, and lengths; () or (N,) of them."""
-    return _model_of(classes, lengths_m, _DRIVING)
-
-
-def steady_model_of(classes: ArrayLike, lengths_m: ArrayLike) -> tuple[MotionModel, Array]:
-    """The same to look back with at all that was seen of (N,) road users, and the standard deviations (N,) in m/s² of
-    their accelerations that last, of which the model knows nothing; 0 for those who walk."""
-    numbers = np.asarray(classes, dtype=np.int64)
-    return _model_of(classes, lengths_m, _STEADY), _LASTING_MPS2[numbers]
-
-
-def _model_of(classes: ArrayLike, lengths_m: ArrayLike, driving: DrivingModel) -> MotionModel:
     numbers, lengths = np.asarray(classes, dtype=np.int64), np.asarray(lengths_m, dtype=np.float64)
     walks = WALKS[numbers]
     if not walks.any():
-        return _of_lengths(driving.where(_PLACE[numbers]), lengths)
+        return _driving(numbers, lengths)
     if walks.all():
         return _WALKING.where(_PLACE[numbers])
-    return MixedModel(
-        walks,
-        _of_lengths(driving.where(_PLACE[numbers[~walks]]), lengths[~walks]),
-        _WALKING.where(_PLACE[numbers[walks]]),
-    )
+    return MixedModel(walks, _driving(numbers[~walks], lengths[~walks]), _WALKING.where(_PLACE[numbers[walks]]))
 
 
-def _of_lengths(unit: DrivingModel, lengths_m: Array) -> DrivingModel:
+def _driving(numbers: NDArray[np.int64], lengths_m: Array) -> DrivingModel:
+    unit = _DRIVING.where(_PLACE[numbers])
     return replace(unit, axle_m=unit.axle_m * lengths_m)
 
 
@@ -105,6 +77,11 @@ class MixedModel:
 
     def bounded(self, mean: Array) -> Array:
         return self._joined(self.driving.bounded(mean[~self.walks]), self.walking.bounded(mean[self.walks]))
+
+    def halted(self, belief: Belief) -> Belief:
+        return self._beliefs(
+            self.driving.halted(belief.where(~self.walks)), self.walking.halted(belief.where(self.walks))
+        )
 
     def velocity(self, mean: Array) -> tuple[Array, Array]:
         driving, walking = self.driving.velocity(mean[~self.walks]), self.walking.velocity(mean[self.walks])

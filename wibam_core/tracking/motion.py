@@ -6,6 +6,7 @@ these change. All is for one road user or for many at once, each for itself: lea
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Protocol, Self
 
@@ -23,6 +24,8 @@ STATES = 5
 
 #: Innovations beyond this squared Mahalanobis distance (95 % of χ² with 3 degrees of freedom) are trusted less.
 _OUTLIER = 7.81
+#: Standard deviation of the speed of somebody who is seen to stand, m/s.
+_HALTED_SD_MPS = 0.05
 
 
 @dataclass(frozen=True, eq=False)
@@ -79,6 +82,10 @@ class MotionModel(Protocol):
         """The nearest state (..., 5) that can be."""
         ...
 
+    def halted(self, belief: Belief) -> Belief:
+        """What is believed of those of whom it is seen that they stand."""
+        ...
+
     def velocity(self, mean: Array) -> tuple[Array, Array]:
         """Velocity (..., 2) of the centre, m/s, and yaw rate (...), rad/s."""
         ...
@@ -106,7 +113,8 @@ def innovation(model: MotionModel, belief: Belief, measurement: Measurement) -> 
 def update(model: MotionModel, belief: Belief, measurement: Measurement) -> Belief:
     """The belief after a measurement; one that lies far off is given less weight."""
     difference, S, H = innovation(model, belief, measurement)
-    S = loosened(difference, S, measurement.sd)
+    beyond = np.maximum(squared_distance(difference, S) / _OUTLIER - 1.0, 0.0)
+    S = S + diagonal(measurement.sd**2 * beyond[..., None])
     gain = transposed(np.asarray(np.linalg.solve(S, H @ belief.covariance), np.float64))
     mean = belief.mean + times(gain, difference)
     mean[..., YAW] = normalise_angle(mean[..., YAW])
@@ -114,11 +122,15 @@ def update(model: MotionModel, belief: Belief, measurement: Measurement) -> Beli
     return Belief(model.bounded(mean), 0.5 * (covariance + transposed(covariance)))
 
 
-def loosened(difference: Array, covariance: Array, sd: Array) -> Array:
-    """The covariances (..., n, n) of differences (..., n), larger where a measurement with these standard deviations
-    (..., n) lies far off: by as much that it would be at the border."""
-    beyond = np.maximum(squared_distance(difference, covariance) / _OUTLIER - 1.0, 0.0)
-    return covariance + diagonal(sd**2 * beyond[..., None])
+def without_speed(belief: Belief, speeds: Sequence[int]) -> Belief:
+    """The belief once the states of these numbers are known to be zero, but for how exactly one sees that."""
+    chosen = np.eye(STATES)[list(speeds)]
+    S = chosen @ belief.covariance @ chosen.T + _HALTED_SD_MPS**2 * np.eye(len(chosen))
+    gain = transposed(np.asarray(np.linalg.solve(S, chosen @ belief.covariance), np.float64))
+    mean = belief.mean - times(gain, belief.mean[..., list(speeds)])
+    mean[..., YAW] = normalise_angle(mean[..., YAW])
+    covariance = belief.covariance - gain @ S @ transposed(gain)
+    return Belief(mean, 0.5 * (covariance + transposed(covariance)))
 
 
 def squared_distance(difference: Array, covariance: Array) -> Array:

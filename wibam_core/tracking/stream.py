@@ -21,9 +21,8 @@ from wibam_core.geometry.box3d import SIZE, YAW, Z
 from wibam_core.geometry.se3 import normalise_angle
 from wibam_core.road_users import CLASSES, RoadUserClass
 from wibam_core.scene import Track, Vehicles3D
-from wibam_core.tracking.hits import Hit
 from wibam_core.tracking.tracker import Tracker
-from wibam_core.tracking.trajectory import to_tracks
+from wibam_core.tracking.trajectory import Hit, to_tracks
 
 Array = NDArray[np.float64]
 

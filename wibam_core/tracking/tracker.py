@@ -18,10 +18,9 @@ from wibam_core.geometry.iou import bev_iou
 from wibam_core.road_users import CLASSES, may_be_one
 from wibam_core.scene import Track, Vehicles3D
 from wibam_core.tracking.fusion import REACH, Detected, Fused, fuse, ground_distance
-from wibam_core.tracking.hits import Hit, came_nowhere, hits_of_arrays, hits_to_arrays, of_fused_boxes, seen_often
 from wibam_core.tracking.models import WALKS, model_of
 from wibam_core.tracking.motion import STATES, Belief, Measurement, MotionModel, innovation, squared_distance, update
-from wibam_core.tracking.trajectory import to_tracks
+from wibam_core.tracking.trajectory import Hit, came_nowhere, seen_often, to_tracks
 
 Array = NDArray[np.float64]
 Indices = NDArray[np.int64]
@@ -37,6 +36,8 @@ _MAX_SPEED_SD = 10.0
 _STANDING_MPS = 0.7
 #: A tracked road user is as large as the median of so many of its latest boxes.
 _LATEST_SIZES = 15
+#: How many numbers each array of a hit has.
+_HIT_WIDTHS = {"box": 7, "sd": 7, "votes": len(CLASSES), "headings": 2}
 
 
 @dataclass(frozen=True, eq=False)
@@ -83,7 +84,7 @@ class _Candidates:
             votes,
             sizes,
             np.ones(len(columns), np.int64),
-            tuple([Hit.of(time_ns, fused, column)] for column in columns.tolist()),
+            tuple([_hit(time_ns, fused, column)] for column in columns.tolist()),
         )
 
     @property
@@ -132,7 +133,11 @@ class _Candidates:
             "sizes": self.sizes,
             "seen": self.seen,
             "hits": np.array([len(of_one) for of_one in self.hits], np.int64),
-            **hits_to_arrays(hits),
+            "hit_times_ns": np.array([hit.time_ns for hit in hits], np.int64),
+            **{
+                f"hit_{name}": np.array([getattr(hit, name) for hit in hits]).reshape(len(hits), width)
+                for name, width in _HIT_WIDTHS.items()
+            },
         }
 
     @classmethod
@@ -145,11 +150,15 @@ class _Candidates:
         none, count = cls.none().to_arrays(), len(arrays["hits"])
         for name, like in none.items():
             found = arrays[name]
-            per = {"hit": "hits", "view": "hit_views"}.get(name.split("_")[0])
-            rows = int(arrays[per].sum()) if per else count
+            rows = int(arrays["hits"].sum()) if name.startswith("hit_") else count
             if found.shape != (rows, *like.shape[1:]) or found.dtype != like.dtype:
                 raise ValueError(f"{name} has shape {found.shape} and type {found.dtype}")
-        every = hits_of_arrays(arrays)
+        every = [
+            Hit(int(time_ns), *of_one)
+            for time_ns, *of_one in zip(
+                arrays["hit_times_ns"], *(arrays[f"hit_{name}"] for name in _HIT_WIDTHS), strict=True
+            )
+        ]
         ends = np.cumsum(arrays["hits"]).tolist()
         return cls(
             Belief(arrays["mean"].copy(), arrays["covariance"].copy()),
@@ -169,7 +178,7 @@ class _Candidates:
         self.votes[rows] += fused.votes[columns]
         self.sizes[rows, self.seen[rows] % _LATEST_SIZES] = fused.boxes[columns, SIZE]
         for row, column in zip(rows.tolist(), columns.tolist(), strict=True):
-            self.hits[row].append(Hit.of(time_ns, fused, column))
+            self.hits[row].append(_hit(time_ns, fused, column))
         self.seen[rows] += 1
         self.boxes[rows] = fused.boxes[columns]
         self.boxes[rows, SIZE] = _medians(self.sizes[rows], np.minimum(self.seen[rows], _LATEST_SIZES))
@@ -191,8 +200,6 @@ class Tracker:
         self._active = _Candidates.none()
         self._ended: list[list[Hit]] = []
         self._instants: list[int] = []
-        #: Numbers of cameras by their ids; of nameless ones by their places in what is detected.
-        self._cameras: dict[str, int] = {}
 
     def step(
         self, time_ns: int, detections: Sequence[Vehicles3D], frame_times_ns: Mapping[str, int] | None = None
@@ -220,19 +227,13 @@ class Tracker:
         uncertain = detected.sd[:, XY] > self._config.max_place_sd_m
         detected = detected.where(np.flatnonzero(~uncertain.any(axis=1)))
         moved = self._moved(detected, late_s[detected.cameras], places, model.travel(expected.mean)[0])
-        numbers = self._numbers(detections)
-        fused = fuse(replace(moved, cameras=numbers[moved.cameras]), self._config.fusion_radius_m)
+        fused = fuse(moved, self._config.fusion_radius_m)
 
         cost = self._costs(fused, model, expected, places, hidden_s)
         rows, columns = self._assigned(cost)
         updated = update(model.where(rows), expected.where(rows), _measurements(fused, columns))
         self._active.see(rows, updated, time_ns, fused, columns)
         self._begin(time_ns, fused, columns)
-
-    def _numbers(self, detections: Sequence[Vehicles3D]) -> Indices:
-        """(cameras,) the same ones at every instant, whichever cameras have a frame there."""
-        ids = (found.camera_id or f"#{place}" for place, found in enumerate(detections))
-        return np.array([self._cameras.setdefault(camera_id, len(self._cameras)) for camera_id in ids], np.int64)
 
     @property
     def instants(self) -> Indices:
@@ -260,11 +261,7 @@ class Tracker:
     def to_arrays(self) -> dict[str, NDArray[Any]]:
         """Those that are still followed, and the instants, for `go_on`; nothing may have ended that was not taken."""
         assert not self._ended, "take what has ended first"
-        return {
-            "instants": self.instants,
-            "cameras": np.array(list(self._cameras), np.str_),
-            **self._active.to_arrays(),
-        }
+        return {"instants": self.instants, **self._active.to_arrays()}
 
     def go_on(self, arrays: Mapping[str, NDArray[Any]]) -> None:
         """Follow those again that another tracker followed when it gave these arrays.
@@ -272,11 +269,8 @@ class Tracker:
         Raises:
             ValueError: they have another shape than this version's.
         """
-        if "hit_views" not in arrays:
-            arrays = {**arrays, **of_fused_boxes(arrays)}
         self._active = _Candidates.of_arrays(arrays)
         self._instants = arrays["instants"].tolist()
-        self._cameras = {str(camera_id): number for number, camera_id in enumerate(arrays["cameras"])}
 
     def tracks(self) -> list[Track]:
         """All tracks that were seen often enough, smoothed, numbered from 0 in the order of their first instant.
@@ -374,6 +368,10 @@ def _filtered(hits: Sequence[Hit], road_user: int, length_m: float) -> Belief:
     for before, hit in pairwise(hits):
         belief = update(model, model.predict(belief, (hit.time_ns - before.time_ns) * 1e-9)[0], hit.measurement)
     return belief
+
+
+def _hit(time_ns: int, fused: Fused, column: int) -> Hit:
+    return Hit(time_ns, fused.boxes[column], fused.sd[column], fused.votes[column], fused.headings[column])
 
 
 def _medians(values: Array, counts: Indices) -> Array:

@@ -23,6 +23,7 @@ from wibam_core.tracking.motion import (
     Y,
     diagonal,
     transposed,
+    without_speed,
 )
 from wibam_core.traits import Walking
 
@@ -89,6 +90,9 @@ class WalkingModel:
 
     def bounded(self, mean: Array) -> Array:
         return mean
+
+    def halted(self, belief: Belief) -> Belief:
+        return without_speed(belief, _VELOCITY)
 
     def velocity(self, mean: Array) -> tuple[Array, Array]:
         return mean[..., _VELOCITY], np.zeros(mean.shape[:-1])

@@ -11,6 +11,7 @@ from wibam_core.geometry.se3 import normalise_angle
 from wibam_core.road_users import CLASSES, RoadUserClass
 from wibam_core.tracking.models import model_of
 from wibam_core.tracking.motion import STATES, YAW, Belief, Measurement, MotionModel, update
+from wibam_core.tracking.smoother import smooth
 
 ROAD_USERS = st.sampled_from(CLASSES)
 STATE = st.tuples(
@@ -75,6 +76,58 @@ def test_uncertainty_grows_with_time_and_shrinks_with_a_measurement(
     assert np.trace(later.covariance[:2, :2]) > np.trace(first.covariance[:2, :2])
     seen = update(model, later, Measurement(model.centre(later.mean)[0], np.array([0.3, 0.3, 0.1])))
     assert np.trace(seen.covariance[:2, :2]) < np.trace(later.covariance[:2, :2])
+
+
+def test_many_move_as_each_would_alone() -> None:
+    rng = np.random.default_rng(0)
+    lengths = np.array([1, 7, 3, 12, 7])
+    model = model_of(rng.integers(0, len(CLASSES), 5), rng.uniform(3, 12, 5))
+    of_state = np.repeat(np.arange(5), lengths)
+    first = np.cumsum(lengths) - lengths
+    times_ns = np.cumsum(rng.integers(50_000_000, 400_000_000, len(of_state)))
+    value = rng.normal(size=(len(of_state), 3)) + times_ns[:, None] * 1e-9
+    measurements = Measurement(value, rng.uniform(0.1, 0.5, (len(of_state), 3)))
+    measured = rng.random(len(of_state)) < 0.6
+    measured[first] = True
+    stands = np.repeat(rng.random(len(of_state) // 2) < 0.5, 2)
+    together = smooth(model, lengths, times_ns, measurements, measured, stands)
+    for number in range(5):
+        own = np.flatnonzero(of_state == number)
+        one, seen = model.where(np.array([number])), measurements.where(own)
+        alone = smooth(one, lengths[[number]], times_ns[own], seen, measured[own], stands[own])
+        np.testing.assert_allclose(together.mean[own], alone.mean, atol=1e-12)
+        np.testing.assert_allclose(together.covariance[own], alone.covariance, atol=1e-12)
+
+
+@given(ROAD_USERS, STATE, STEP_S)
+def test_smoothing_leaves_what_the_filter_knew_last_and_knows_more_before(
+    road_user: RoadUserClass, mean: np.ndarray, dt_s: float
+) -> None:
+    model = usual(road_user)
+    start = Measurement(mean[:3], np.array([0.3, 0.3, 0.1]))
+    first = model.first_belief(start)
+    expected = model.predict(first, dt_s)[0]
+    end = Measurement(model.centre(expected.mean)[0] + np.array([0.2, -0.1, 0.05]), start.sd)
+    filtered = update(model, expected, end)
+    both = Measurement(np.array([start.value, end.value]), np.array([start.sd, end.sd]))
+    one = model_of([CLASSES.index(road_user)], [road_user.traits.size.size_m[0]])
+    times_ns = np.array([0, round(dt_s * 1e9)])
+    smoothed = smooth(one, np.array([2]), times_ns, both, np.array([True, True]), np.array([False, False]))
+    np.testing.assert_allclose(smoothed.mean[1], filtered.mean, atol=1e-6)
+    np.testing.assert_allclose(smoothed.covariance[1], filtered.covariance, atol=1e-6)
+    assert np.trace(smoothed.covariance[0]) < np.trace(first.covariance)
+
+
+@given(ROAD_USERS, STATE)
+def test_who_is_seen_to_stand_has_no_speed_and_a_place_known_no_worse(
+    road_user: RoadUserClass, mean: np.ndarray
+) -> None:
+    model = usual(road_user)
+    moving = model.predict(model.first_belief(Measurement(mean[:3], np.array([0.3, 0.3, 0.1]))), 0.5)[0]
+    halted = model.halted(Belief(moving.mean + 0.1, moving.covariance))
+    assert np.hypot(*model.travel(halted.mean)[0]) < 0.01
+    assert model.speed_sd(halted) < 0.06
+    assert np.linalg.eigvalsh(moving.covariance - halted.covariance).min() > -1e-9
 
 
 def test_some_who_walk_among_some_who_drive_move_as_each_alone() -> None:

@@ -169,17 +169,6 @@ def test_a_stream_goes_on_to_the_bit(tmp_path: Path) -> None:
         np.testing.assert_array_equal(one.boxes, other.boxes)
 
 
-def test_what_a_version_left_open_that_kept_fused_boxes_alone_goes_on() -> None:
-    detections = seen([parked(3.0, 5.0)], 20)
-    first, second = TrackStream(TrackConfig()), TrackStream(TrackConfig())
-    before = by_id(streamed(first, detections[:50]) + first.ended())
-    kept = {name: of for name, of in first.to_arrays().items() if name not in ("cameras", "hit_views")}
-    second.go_on({name: of for name, of in kept.items() if not name.startswith("view_")})
-    after = by_id(streamed(second, detections[50:]) + second.ended())
-    assert list(before) == list(after) == [0]
-    assert np.abs(after[0].boxes[:, :2] - [3.0, 5.0]).max() < 0.15
-
-
 def test_what_is_no_stream_is_refused(tmp_path: Path) -> None:
     path = tmp_path / "open.npz"
     path.write_bytes(b"nothing of the kind")
