@@ -89,15 +89,32 @@ def headings(
     return Headings(np.where(known[:, None], yaw, 0.0), np.where(known[:, None], sd, np.inf))
 
 
-def _way(tracks: Tracks, motion: Motion, jump_m: float, seen_share: FloatArray) -> _Way:
-    made, speed = np.zeros(tracks.valid.shape), np.zeros(tracks.valid.shape)
+def telling(tracks: Tracks, motion: Motion, jump_m: float) -> np.ndarray:
+    """(M, T) moments around which so much way is made that a course may be believed, if pictures confirm it."""
+    return np.asarray(_made(tracks, motion) > np.sqrt(2) * jump_m / _USELESS_SD_RAD)
+
+
+def _made(tracks: Tracks, motion: Motion) -> FloatArray:
+    """(M, T) way from the beginning to the end of the window around each moment, m."""
+    made = np.zeros(tracks.valid.shape)
     for k, count in enumerate(tracks.valid.sum(axis=1)):
         times, places = tracks.times_s[k, :count], motion.position[k, :count]
-        first, last = np.maximum(times - HALF_WINDOW_S, times[0]), np.minimum(times + HALF_WINDOW_S, times[-1])
+        first, last = _window(times)
         moved = [np.interp(last, times, places[:, axis]) - np.interp(first, times, places[:, axis]) for axis in (0, 1)]
-        made[k, :count] = np.hypot(*moved) * seen_share[k, :count]
-        beyond = np.maximum(made[k, :count] - 1.5 * jump_m, 0.0)
-        speed[k, :count] = beyond / np.maximum(last - first, 1e-3)
+        made[k, :count] = np.hypot(*moved)
+    return made
+
+
+def _window(times_s: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Beginnings and ends (T,) of the windows around each of a track's moments (T,)."""
+    return np.maximum(times_s - HALF_WINDOW_S, times_s[0]), np.minimum(times_s + HALF_WINDOW_S, times_s[-1])
+
+
+def _way(tracks: Tracks, motion: Motion, jump_m: float, seen_share: FloatArray) -> _Way:
+    made, speed = _made(tracks, motion) * seen_share, np.zeros(tracks.valid.shape)
+    for k, count in enumerate(tracks.valid.sum(axis=1)):
+        first, last = _window(tracks.times_s[k, :count])
+        speed[k, :count] = np.maximum(made[k, :count] - 1.5 * jump_m, 0.0) / np.maximum(last - first, 1e-3)
     return _Way(made, speed)
 
 

@@ -33,7 +33,7 @@ from wibam_core.lifting.fit import (
     with_noise,
     yaw_starts,
 )
-from wibam_core.lifting.headings import HALF_WINDOW_S, headings
+from wibam_core.lifting.headings import HALF_WINDOW_S, headings, telling
 from wibam_core.lifting.noise import noise_of, persistence
 from wibam_core.lifting.observations import Observations, observe
 from wibam_core.lifting.orientation import standing_headings
@@ -230,7 +230,7 @@ def _headings(
 ) -> tuple[FloatArray, FloatArray]:
     """Yaw (N,) by motion and its s.d., infinite where the vehicle never moves."""
     count = len(seen)
-    share = share_seen(seen, cameras, tracks, motion, HALF_WINDOW_S)
+    share = share_seen(seen, cameras, tracks, motion, telling(tracks, motion, jump_m), HALF_WINDOW_S)
     found = headings(tracks, seen.classes[tracks.rows[:, 0]], motion, jump_m, share)
     return tracks.scatter(found.yaw_rad, np.zeros(count)), tracks.scatter(found.sd_rad, np.full(count, np.inf))
 

@@ -43,27 +43,36 @@ class _View(NamedTuple):
 
 
 def share_seen(
-    seen: Observations, cameras: Sequence[Camera], tracks: Tracks, motion: Motion, half_window_s: float
+    seen: Observations,
+    cameras: Sequence[Camera],
+    tracks: Tracks,
+    motion: Motion,
+    wanted: np.ndarray,
+    half_window_s: float,
 ) -> FloatArray:
     """(M, T) share, 0 to 1, of the way that tracks make around each moment which the pictures confirm.
 
     How far each edge moved from one sighting by a camera to its next one, over how far the claimed way would have moved
     it, is a vote for that share, and its weight is the latter in standard deviations, up to `_ENOUGH_SD`. The share is
-    the weighted median; 1 where no camera saw the vehicle twice.
+    the weighted median; 1 where no camera saw the vehicle twice, and where it is not wanted.
 
     Args:
         seen: the N observations, whose places count from the same origin as the cameras.
         cameras: of the rig, in its order.
         tracks: how the observations form M tracks of at most T.
         motion: their smoothed motion.
+        wanted: (M, T) of which moments.
         half_window_s: sightings so long before and after a moment are compared.
     """
     share = np.ones(tracks.valid.shape)
     for k, count in enumerate(tracks.valid.sum(axis=1)):
         rows, times = tracks.rows[k, :count], tracks.times_s[k, :count]
+        moments = np.flatnonzero(wanted[k, :count])
+        if not len(moments):
+            continue
         views = _views(seen, cameras, rows, times, motion.position[k, :count])
-        for t, now in enumerate(times):
-            share[k, t] = _middle(views, now, half_window_s)
+        for t in moments:
+            share[k, t] = _middle(views, times[t], half_window_s)
     return share
 
 

@@ -10,7 +10,7 @@ from tests.multiview import SIZES, body
 from wibam_core.config import LiftConfig
 from wibam_core.geometry.box3d import vehicle_to_world
 from wibam_core.geometry.se3 import normalise_angle
-from wibam_core.lifting.headings import HALF_WINDOW_S, headings
+from wibam_core.lifting.headings import HALF_WINDOW_S, headings, telling
 from wibam_core.lifting.lift import lift
 from wibam_core.lifting.observations import observe
 from wibam_core.lifting.trajectory import Motion, Tracks, smooth
@@ -65,7 +65,7 @@ def share(
     velocity = np.gradient(claimed, TIMES_S[: len(claimed)], axis=0)
     state = np.concatenate([claimed, velocity], axis=1)[None]
     motion = Motion(state, np.tile(np.eye(4), (1, len(claimed), 1, 1)))
-    return share_seen(seen, list(RIG.values()), tracks, motion, HALF_WINDOW_S)[0]
+    return share_seen(seen, list(RIG.values()), tracks, motion, tracks.valid, HALF_WINDOW_S)[0]
 
 
 def glide(begin_s: float, over_s: float, by_m: tuple[float, float]) -> np.ndarray:
@@ -115,10 +115,29 @@ def test_boxes_that_go_over_to_the_next_in_a_queue_have_not_driven_there(seed: i
     seen = observe(instants_of(boxes, places, EVERYWHERE), RIG, 1)
     tracks = Tracks.group(seen.tracks, seen.times_ns)
     motion = smooth(tracks, places, np.tile(0.2**2 * np.eye(2), (len(places), 1, 1)))
-    confirmed = share_seen(seen, list(RIG.values()), tracks, motion, HALF_WINDOW_S)
+    confirmed = share_seen(seen, list(RIG.values()), tracks, motion, tracks.valid, HALF_WINDOW_S)
     assert np.isinf(headings(tracks, seen.classes[:1], motion, 0.4, confirmed).sd_rad).all()
     believed = headings(tracks, seen.classes[:1], motion, 0.4, np.ones_like(confirmed))
     assert np.abs(normalise_angle(believed.yaw_rad - YAW_RAD)).min() > 2.5, "by its places alone it reversed"
+
+
+def test_only_moments_with_a_way_that_could_tell_are_asked_and_the_others_change_nothing() -> None:
+    path = np.where(TIMES_S > 5, 0.4 * (TIMES_S - 5) ** 2, 0.0)[:, None] * [np.cos(YAW_RAD), np.sin(YAW_RAD)]
+    seen = observe(instants_of(boxes_of(path), path, EVERYWHERE), RIG, 1)
+    tracks = Tracks.group(seen.tracks, seen.times_ns)
+    motion = smooth(tracks, path, np.tile(0.2**2 * np.eye(2), (60, 1, 1)))
+    some = telling(tracks, motion, 0.4)
+    assert not some[0, :20].any()
+    assert some[0, 40:].all()
+    found = [
+        headings(
+            tracks, seen.classes[:1], motion, 0.4, share_seen(seen, list(RIG.values()), tracks, motion, wanted, 1.5)
+        )
+        for wanted in (some, tracks.valid)
+    ]
+    assert np.array_equal(found[0].yaw_rad, found[1].yaw_rad)
+    assert np.array_equal(found[0].sd_rad, found[1].sd_rad)
+    assert np.abs(found[0].yaw_rad - YAW_RAD).max() < 0.1
 
 
 def test_a_van_in_a_queue_is_not_lifted_the_wrong_way_round_and_sure_of_it() -> None:
