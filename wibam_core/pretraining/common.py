@@ -198,11 +198,11 @@ class _Batches(IterableDataset[Batch]):
         self._seed, self._first = seed, first
 
     def __iter__(self) -> Iterator[Batch]:
-        plan, _, steps = share_of_processes(self._plan, self._seed, self._count)
+        plan, steps = share_of_processes(self._plan, self._count, self._first)
         pool = ViewPool(plan)
         for step in steps:
+            pool.grow(step)  # at those before `first`, too: which views there are depends on the steps at which it grew
             if step >= self._first:
-                pool.grow(step)
                 rng = np.random.default_rng([self._seed, step])
                 yield Batch.of([self._draw(pool, rng) for _ in range(self._batch_size)])
 
@@ -212,18 +212,21 @@ def batches(
 ) -> Iterable[Batch]:
     """So many batches, seeded; ``workers`` processes render and draw them ahead of training, 0: none does.
 
-    Other numbers of processes give other batches. Those before ``first``, a multiple of ``workers``, are left out.
+    Other numbers of processes give other batches. Those before ``first`` are left out; the others are the same.
     """
     return ahead(_Batches(plan, draw, count, batch_size, seed, first), workers)
 
 
-def share_of_processes(plan: PoolPlan, seed: int, count: int) -> tuple[PoolPlan, np.random.Generator, range]:
-    """What this one of several processes that make batches renders, what it draws by, and which of ``count`` batches
-    it makes."""
+def share_of_processes(plan: PoolPlan, count: int, first: int) -> tuple[PoolPlan, range]:
+    """What this one of several processes that make batches renders, and which of ``count`` batches it makes.
+
+    Batches are taken from the processes in turn. So which share is a process's depends on ``first``, the first batch
+    that is taken: each batch is always of the same share. Of the batches of this share those before it are given, too.
+    """
     process = get_worker_info()
     number, processes = (process.id, process.num_workers) if process else (0, 1)
-    rng = np.random.default_rng([seed, number] if process else seed)
-    return plan.part(number, processes), rng, range(number, count, processes)
+    share = (first + number) % processes
+    return plan.part(share, processes), range(share, count, processes)
 
 
 def ahead(data: IterableDataset[AnyBatch], workers: int) -> Iterable[AnyBatch]:
@@ -279,7 +282,7 @@ def pretrain(
     ``total`` for a batch on the device; ``checkpoint`` saves and measures the averaged network, and its figures go to
     the log, one JSON object per line. ``clock`` gives seconds from any origin, for the log. At each checkpoint all that
     training needs to go on is written to ``state_path``; where that is there already, training goes on from it, on a
-    CPU equal to the bit.
+    CPU equal to the bit as long as ``data`` gives the batches that an uninterrupted training would have had.
     """
     network = network.to(device).to(memory_format=torch.channels_last)  # type: ignore[call-overload]
     network.train()
@@ -331,7 +334,9 @@ def add_options(parser: argparse.ArgumentParser, *, steps: int, images: int, bat
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--threads", type=int, default=1)
     parser.add_argument("--workers", type=int, default=0, help="processes that render and draw; 0: training's own")
-    parser.add_argument("--resume", action="store_true", help="go on from what an interrupted run left in --out")
+    parser.add_argument(
+        "--resume", action="store_true", help="go on from what an interrupted run left in --out; options as in that"
+    )
     parser.add_argument("--device", choices=("auto", "cpu", "cuda"), default="cpu")
 
 

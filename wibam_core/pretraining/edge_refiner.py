@@ -6,7 +6,6 @@ python -m wibam_core.pretraining.edge_refiner --out build/edge_refiner --steps 5
 from __future__ import annotations
 
 import argparse
-import itertools
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, fields
 from pathlib import Path
@@ -156,13 +155,14 @@ def sample(patch: Patch, rng: np.random.Generator) -> tuple[NDArray[np.float32],
 
 
 class CropBatches(IterableDataset[Crops]):
-    """So many batches, seeded; of several processes, each makes every so many-th, of vehicles that it renders."""
+    """So many batches, seeded, those before ``first`` left out; of several processes, each makes every so many-th, of
+    vehicles that it renders."""
 
-    def __init__(self, plan: PoolPlan, count: int, batch_size: int, seed: int) -> None:
-        self._plan, self._count, self._batch_size, self._seed = plan, count, batch_size, seed
+    def __init__(self, plan: PoolPlan, count: int, batch_size: int, seed: int, first: int = 0) -> None:
+        self._plan, self._count, self._batch_size, self._seed, self._first = plan, count, batch_size, seed, first
 
     def __iter__(self) -> Iterator[Crops]:
-        plan, rng, steps = share_of_processes(self._plan, self._seed, self._count)
+        plan, steps = share_of_processes(self._plan, self._count, self._first)
         pool: list[Patch] = []
         rendered = 0
         for step in steps:
@@ -170,6 +170,9 @@ class CropBatches(IterableDataset[Crops]):
             if rendered < due:
                 pool += patches(plan.seed + rendered, due - rendered)
                 rendered = due
+            if step < self._first:
+                continue
+            rng = np.random.default_rng([self._seed, step])
             chosen = [pool[int(number)] for number in rng.integers(0, len(pool), self._batch_size)]
             crops, seen, whole = zip(*(sample(patch, rng) for patch in chosen), strict=True)
             yield Crops(
@@ -249,8 +252,7 @@ def main() -> None:
         return measure(averaged, validation)
 
     def data(first: int) -> Iterable[Crops]:
-        made = ahead(CropBatches(plan, arguments.steps, arguments.batch, arguments.seed), arguments.workers)
-        return itertools.islice(made, first, None)
+        return ahead(CropBatches(plan, arguments.steps, arguments.batch, arguments.seed, first), arguments.workers)
 
     pretrain_as_asked(arguments, EdgeRefinerNetwork(), data, losses, checkpoint, device)
 

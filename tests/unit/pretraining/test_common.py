@@ -1,20 +1,27 @@
 """The scripts that make the bundled networks: what they draw, and that they train."""
 
+import functools
 import itertools
 import json
+from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
 import torch
+from torch.utils.data import IterableDataset
 
 from wibam_core.models.detector2d import Detector2D
 from wibam_core.models.export import export_detector2d
 from wibam_core.networks.registry import load_network
 from wibam_core.networks.small.architecture import SmallNetwork
 from wibam_core.pretraining import detector, monocular
-from wibam_core.pretraining.common import Batch, PoolPlan, ViewPool, batches
+from wibam_core.pretraining.common import Batch, PoolPlan, ViewPool, _Batches, batches
+from wibam_core.pretraining.edge_refiner import CropBatches
+from wibam_core.synthetic.sampling import Regime, RenderedView, sample_views
 
 PLAN = PoolPlan(990_000, "ego", 60, 20, 2, (128, 96))
 
@@ -44,6 +51,49 @@ def test_batches_of_a_later_step_are_those_that_an_uninterrupted_run_draws() -> 
     through, later = drawn(4, 0), list(batches(PLAN, monocular.augmented, 4, 2, 0, 0, first=2))
     assert len(later) == 2
     assert all(map(same, through[2:], later))
+
+
+@pytest.fixture
+def quickly_rendered(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Views of one moment with noise in place of colours; as those that are rendered, each depends on its site's number
+    and on how many were rendered of that before it."""
+    rendered = functools.cache(lambda regime, size_px: list(sample_views(PLAN.seed, regime, 3, size_px)))
+
+    def noise(seed: int, regime: Regime, count: int, size_px: tuple[int, int]) -> Iterator[RenderedView]:
+        rng = np.random.default_rng(seed)
+        for view in itertools.islice(itertools.cycle(rendered(regime, size_px)), count):
+            yield replace(view, image=rng.integers(0, 256, view.image.shape, np.uint8))
+
+    monkeypatch.setattr("wibam_core.pretraining.common.sample_views", noise)
+
+
+def by_three(monkeypatch: pytest.MonkeyPatch, data: IterableDataset[Any]) -> list[Any]:
+    """What three processes make of it, taken from them in turn as a data loader does, one after the other here."""
+    parts = []
+    for number in range(3):
+        process = SimpleNamespace(id=number, num_workers=3)
+        monkeypatch.setattr("wibam_core.pretraining.common.get_worker_info", lambda process=process: process)
+        parts.append(list(data))
+    turns = itertools.chain.from_iterable(itertools.zip_longest(*parts))
+    return [batch for batch in turns if batch is not None]
+
+
+@pytest.mark.usefixtures("quickly_rendered")
+@pytest.mark.parametrize("first", [4, 6])
+def test_several_processes_go_on_at_any_step_as_if_uninterrupted(monkeypatch: pytest.MonkeyPatch, first: int) -> None:
+    """Also where each renders less than a site at a time: 5 views, and 5 of another one two steps later."""
+    plan = replace(PLAN, images=45, shard=15)
+    through, later = (by_three(monkeypatch, _Batches(plan, ViewPool.draw, 8, 2, 0, since)) for since in (0, first))
+    assert len(through) == 8 and len(later) == 8 - first
+    assert all(map(same, through[first:], later))
+
+
+@pytest.mark.usefixtures("quickly_rendered")
+def test_several_processes_cut_out_vehicles_at_any_step_as_if_uninterrupted(monkeypatch: pytest.MonkeyPatch) -> None:
+    plan = replace(PLAN, regime="elevated", images=45, shard=15)
+    through, later = (by_three(monkeypatch, CropBatches(plan, 8, 2, 0, since)) for since in (0, 4))
+    assert len(through) == 8 and len(later) == 4
+    assert all(torch.equal(one.images, two.images) for one, two in zip(through[4:], later, strict=True))
 
 
 def test_of_ten_sites_some_have_varied_views() -> None:
