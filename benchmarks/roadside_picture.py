@@ -1,8 +1,9 @@
 """How many of the labelled cars of one real roadside picture a detector has a box of.
 
-Run: python -m benchmarks.roadside_picture ../shared/data/roadside [--detector FILE.onnx]
+Run: python -m benchmarks.roadside_picture FOLDER [--detector FILE.onnx]
 
-The folder holds ``image_2.jpg`` and ``label_2.txt`` in KITTI's columns, as Rope3D's demo has them. A car
+The folder holds ``image_2.jpg`` and ``label_2.txt`` in KITTI's columns: those of the demo in
+github.com/liyingying0113/rope3d-dataset-tools (commit 88859825), which are not part of this repository. A car
 counts as found if a box overlaps its labelled one by an IoU of 0.5, each box for one car.
 """
 
