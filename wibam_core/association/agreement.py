@@ -2,8 +2,9 @@
 
 A world that is turned or shifted, the recording of another camera, or a clock that is wrong by seconds fit everything
 that one camera says of itself. But then its boxes lie on those of other cameras no more often than by chance, which is
-told by pairing moments that have nothing to do with each other. Two cameras whose recordings were exchanged are found
-by looking through each one's calibration at what the other one saw.
+told by pairing moments that have nothing to do with each other. What stands still meets at any two moments alike, and
+says nothing: only road users that move are counted. Two cameras whose recordings were exchanged are found by looking
+through each one's calibration at what the other one saw.
 """
 
 from __future__ import annotations
@@ -13,6 +14,7 @@ from dataclasses import dataclass
 from itertools import permutations
 
 import numpy as np
+from scipy.spatial import cKDTree
 
 from wibam_core.association.rays import ground_points, within_range
 from wibam_core.documents.warnings import Caution
@@ -24,11 +26,13 @@ _MOST_INSTANTS = 150
 _APART = (0.31, 0.47, 0.61)
 #: Boxes of one road user in two cameras lie so near to each other, for cameras that see it within this range, m.
 _NEAR_M, _RANGE_M = 3.0, 50.0
-#: Fewer road users than this in a field of view that two cameras share say nothing.
+#: A road user stands where its camera shows one in this share, or more, of the moments that are so far away.
+_STANDING = 0.15
+#: Fewer road users that move than this in a field of view that two cameras share say nothing.
 _FEWEST = 60
 #: Beyond chance, of the road users that another camera could show: fewer than this are none, and so many are certain.
 _NONE, _CERTAIN = 0.05, 0.15
-#: Where so many meet, by chance or not, cameras agree: all that stands still meets at any two moments.
+#: Where so many meet, by chance or not, cameras agree: queues form at the same places.
 _AGREED = 0.5
 #: A camera agrees with none where it does by less than this share of what the best two do.
 _SHARE_OF_USUAL = 0.25
@@ -38,7 +42,7 @@ _BETTER = 4.0
 
 @dataclass(frozen=True)
 class Agreement:
-    """How often one camera's road users are where others see one.
+    """How often one camera's road users that move are where others see one.
 
     Attributes:
         could: those that another camera could show.
@@ -109,8 +113,8 @@ def _exchanged_with(camera_id: str, looked: _Looked, before: Agreement) -> str |
 def _caution(camera_id: str, agreement: Agreement, other: str | None) -> Caution:
     share = agreement.beyond_chance
     message = (
-        f"of {agreement.could:.0f} sightings of road users where another camera looks, too, {max(share, 0.0):.0%} are "
-        "where that one sees one, chance aside"
+        f"of {agreement.could:.0f} sightings of moving road users where another camera looks, too, "
+        f"{max(share, 0.0):.0%} are where that one sees one, chance aside"
     )
     hint = (
         "Its calibration is of another world (turned, shifted, another origin), its clock is wrong, or its recording "
@@ -136,6 +140,7 @@ class _Looked:
     def __init__(self, instants: Sequence[AnnotatedInstant], rig: CameraRig) -> None:
         self.rig, self._instants = rig, instants
         self._placed: dict[tuple[str, str], list[FloatArray]] = {}
+        self._moving: dict[tuple[str, str], list[FloatArray]] = {}
 
     def alike(self, camera_id: str) -> Iterator[str]:
         """Other cameras with pictures of the same size; of wide lenses there are none, whose views differ."""
@@ -145,9 +150,9 @@ class _Looked:
                 yield other
 
     def agreement(self, one: str, other: str, swap: Mapping[str, str] | None = None) -> Agreement:
-        """Of road users that ``one`` sees, with boxes of ``other``, each as seen in the recording of ``swap``."""
+        """Of road users that ``one`` sees moving, with boxes of ``other``, each seen in the recording of ``swap``."""
         found = [
-            self._met(self._places(own_view, swap), self._places(other_view, swap), other_view)
+            self._met(self._moving_places(own_view, swap), self._places(other_view, swap), other_view)
             for own_view in self._views(one)
             for other_view in self._views(other)
         ]
@@ -163,6 +168,12 @@ class _Looked:
             seen = [instant.detections.get(source) for instant in self._instants]
             self._placed[view_id, source] = [self._on_road(view_id, one) for one in seen]
         return self._placed[view_id, source]
+
+    def _moving_places(self, view_id: str, swap: Mapping[str, str] | None) -> list[FloatArray]:
+        key = view_id, (swap or {}).get(view_id, view_id)
+        if key not in self._moving:
+            self._moving[key] = _without_standing(self._places(view_id, swap))
+        return self._moving[key]
 
     def _on_road(self, view_id: str, seen: Detections2D | None) -> FloatArray:
         if seen is None or not len(seen):
@@ -183,6 +194,21 @@ class _Looked:
             others = [theirs[(number + round(share * count)) % count] for share in _APART]
             by_chance += float(np.mean([_near(shown, other) for other in others]))
         return Agreement(could, met, by_chance)
+
+
+def _without_standing(places: Sequence[FloatArray]) -> list[FloatArray]:
+    """Of the places (N, 2) at each moment, those where the camera hardly ever shows a road user at other moments."""
+    if not places:
+        return []
+    count = len(places)
+    ahead = np.arange(count)
+    away = (ahead >= min(_APART) * count) & (ahead <= (1 - min(_APART)) * count)
+    points, moments = np.concatenate(places), np.repeat(ahead, [len(one) for one in places])
+    stands = np.zeros(len(points), dtype=bool)
+    for number, near in enumerate(cKDTree(points).query_ball_point(points, _NEAR_M) if len(points) else ()):
+        shown = np.unique((moments[near] - moments[number]) % count)
+        stands[number] = away[shown].sum() >= max(_STANDING * away.sum(), 1)
+    return [points[(moments == moment) & ~stands] for moment in ahead]
 
 
 def _near(points: FloatArray, others: FloatArray) -> int:

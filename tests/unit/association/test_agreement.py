@@ -10,8 +10,9 @@ import pytest
 from tests.builders import look_at
 from tests.multiview import Scene, record, traffic
 from wibam_core.association.agreement import agreement_cautions
+from wibam_core.geometry.box3d import corners
 from wibam_core.geometry.se3 import SE3
-from wibam_core.scene import AnnotatedInstant, CameraRig
+from wibam_core.scene import AnnotatedInstant, CameraRig, Detections2D
 
 
 @pytest.fixture(scope="module")
@@ -73,3 +74,35 @@ def test_a_clock_that_is_off_by_seconds_is_said(scene: Scene) -> None:
 
 def test_few_road_users_say_nothing(scene: Scene) -> None:
     assert agreement_cautions(exchanged(scene.unassociated, "cam1", "cam4")[:3], scene.rig) == []
+
+
+def parked(moving: int, share: float = 0.45, seed: int = 0) -> tuple[list[AnnotatedInstant], CameraRig]:
+    """20 parked cars, of which two cameras see a random share each, and some that drive past, one after another."""
+    rng = np.random.default_rng(seed)
+    rig = CameraRig({"a": look_at((26.0, 4.0, 8.0)), "b": look_at((-6.0, 27.0, 8.0))})
+    stand = [np.array([x, y, 0.75, 4.4, 1.8, 1.5, 0.0]) for x in np.linspace(-13.0, 13.0, 5) for y in (-9, -5, 5, 9)]
+    instants = []
+    for step in range(150):
+        drive = [np.array([step / 150 * 60 - 30 + 8.0 * k, 0.0, 0.75, 4.4, 1.8, 1.5, 0.0]) for k in range(moving)]
+        seen = {}
+        for name, camera in rig.items():
+            shown = [box for box in stand if rng.random() < share] + [box for box in drive if rng.random() < 0.9]
+            outlines = [camera.project(corners(box))[0] for box in shown]
+            pixels = np.array([np.concatenate([uv.min(axis=0), uv.max(axis=0)]) for uv in outlines]).reshape(-1, 4)
+            inside = (pixels[:, :2] > 0).all(axis=1) & (pixels[:, 2:] < [camera.width_px, camera.height_px]).all(axis=1)
+            count = int(inside.sum())
+            seen[name] = Detections2D(name, step, pixels[inside], np.full(count, 0.9), np.zeros(count, dtype=np.int64))
+        instants.append(AnnotatedInstant(step, seen))
+    return instants, rig
+
+
+@pytest.mark.parametrize("moving", [0, 1, 2])
+@pytest.mark.parametrize("share", [0.3, 0.45, 0.7])
+def test_parked_cars_that_each_camera_sees_now_and_then_say_nothing(moving: int, share: float) -> None:
+    assert agreement_cautions(*parked(moving, share)) == []
+
+
+def test_who_moves_among_parked_cars_gives_a_shifted_camera_away() -> None:
+    instants, rig = parked(2)
+    shifted = moved(rig, "b", SE3.from_rvec_tvec(np.zeros(3), np.array([0.0, 12.0, 0.0])))
+    assert {caution.details["camera"] for caution in agreement_cautions(instants, shifted)} == {"a", "b"}
