@@ -10,6 +10,7 @@ from tests.multiview import crossing
 from wibam_core.config import AssociateConfig, DatasetConfig, DetectConfig, LiftConfig, RoundsConfig
 from wibam_core.detection.instants import by_frame
 from wibam_core.detection.second_look import backgrounds_shown
+from wibam_core.documents.rounds import HeldOutAgreement
 from wibam_core.formats.framestore import FrameStore, FrameStoreWriter
 from wibam_core.models.weights import bundled
 from wibam_core.networks.registry import load_to_detect
@@ -102,6 +103,18 @@ def test_what_agrees_less_is_not_kept(
     assert document.kept == 0 and len(document.rounds) == 2
     assert found.keys() == detected.keys()
     assert all(np.array_equal(found[frame].boxes, detected[frame].boxes) for frame in detected)
+
+
+def test_a_network_that_sees_much_where_others_see_nothing_is_not_kept() -> None:
+    def agreeing(found: float | None, an_instant: float) -> HeldOutAgreement:
+        return HeldOutAgreement(instants=60, sightings=800, iou=0.6, missed=150, found=found, an_instant=an_instant)
+
+    before = agreeing(0.85, 7.3)
+    assert not rounds._agrees(before, agreeing(0.82, 8.5), "network")
+    assert rounds._agrees(before, agreeing(0.86, 8.5), "network")
+    assert rounds._agrees(before, agreeing(0.82, 8.5), "motion"), "what moves is there"
+    assert not rounds._agrees(before, agreeing(0.86, 7.2), "network")
+    assert not rounds._agrees(before, agreeing(None, 8.5), "network")
 
 
 def test_two_cameras_cannot_judge_each_other(monkeypatch: pytest.MonkeyPatch) -> None:
