@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from hashlib import sha256
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -88,17 +88,23 @@ def tracks() -> list[Track]:
 
 
 def finished_job(
-    api: LiveApi, recording: bytes = b"not looked at", *, onnx: bool = True, weights: bytes = bytes(range(256)) * 4
+    api: LiveApi,
+    recording: bytes = b"not looked at",
+    *,
+    onnx: bool = True,
+    weights: bytes = bytes(range(256)) * 4,
+    tracked: Sequence[Track] | None = None,
 ) -> str:
     """Create a job and publish small outputs for each of its stages; returns its id.
 
     Jobs with the same recording share their outputs. Without ``onnx`` there is no ``weights.onnx``, as in old jobs.
-    ``weights`` are no network unless others are given.
+    ``weights`` are no network unless others are given. ``tracked`` are in place of `tracks`.
     """
     site = api.site(cameras=1)
     api.upload(site, recording)
     job_id = str(api.http.post(f"/v1/sites/{site}/jobs", json={}).json()["id"])
-    publish(api, job_id, lambda stage, folder: _write(stage, folder, onnx, weights))
+    there = tracks() if tracked is None else tracked
+    publish(api, job_id, lambda stage, folder: _write(stage, folder, onnx, weights, there))
     return job_id
 
 
@@ -131,7 +137,7 @@ def _assert_same(there: Mapping[str, FileFacts], stage: str, write: Callable[[st
     )
 
 
-def _write(stage: str, folder: Path, onnx: bool, weights: bytes) -> None:
+def _write(stage: str, folder: Path, onnx: bool, weights: bytes, tracked: Sequence[Track]) -> None:
     writer = ArtifactWriter(stage, folder, made_by(stage))
     if stage == "preflight":
         writer.write(catalogue.PROBE, Probe(cameras={"cam1": VIDEO}))
@@ -144,7 +150,7 @@ def _write(stage: str, folder: Path, onnx: bool, weights: bytes) -> None:
     if stage == "evaluate":
         writer.write(catalogue.METRICS, METRICS)
     if stage == "track":
-        writer.write(catalogue.TRACKS, tracks())
+        writer.write(catalogue.TRACKS, tracked)
     if stage == "safety":
         writer.write(catalogue.CONFLICTS, Conflicts(thresholds={"ttc_s": 3.0}, conflicts=[CONFLICT]))
     if stage == "report":

@@ -3,14 +3,18 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any
 
+import numpy as np
 import pytest
 
-from tests.browser.conftest import Visit
+from tests.browser.conftest import Visit, visit
 from tests.browser.test_every_page import BEYOND
 from tests.clips import clip_job
 from tests.finished import finished_job
 from tests.service import LiveApi
+from wibam_core.road_users import RoadUserClass
+from wibam_core.scene import Track
 from worker.clips import ClipRunner
 from worker.workplace import Workplace
 
@@ -21,6 +25,26 @@ DRAWING = (Path(__file__).parents[2] / "benchmarks" / "pages_player.js").read_te
 @pytest.fixture(scope="module")
 def job(api: LiveApi) -> str:
     return finished_job(api)
+
+
+@pytest.fixture(scope="module")
+def job_with_a_gap(api: LiveApi) -> str:
+    """Cars at 0 to 1.9 s and at 6 to 8 s, ten times a second but for two instants; speeds lie close to round ones."""
+    late = np.concatenate([[6_000, 6_100, 6_240, 6_410], np.arange(6_500, 8_100, 100)])
+    speeds = np.resize([4.994, 4.996, 5.0, 5.004, 0.29], 20)
+    found = [
+        Track(
+            number,
+            RoadUserClass.CAR,
+            times_ms * 1_000_000,
+            np.column_stack([np.arange(20.0), np.tile([0.0, 0.75, 4.5, 1.8, 1.5, 0.0], (20, 1))]),
+            np.full((20, 7), 0.1),
+            np.column_stack([speeds, np.zeros(20)]),
+            np.zeros(20),
+        )
+        for number, times_ms in enumerate((np.arange(0, 2_000, 100), late), 1)
+    ]
+    return finished_job(api, b"with a gap", tracked=found)
 
 
 def test_a_job_without_tracks_says_when_there_will_be_some(signed_in: Visit, api: LiveApi) -> None:
@@ -68,6 +92,15 @@ class TestFilterIsTheApis:
         assert found["kept"] == [[state["time_ns"], state["track_id"]] for state in answered["states"]]
         assert 0 < len(found["kept"]) <= 100
 
+    @pytest.mark.parametrize(("least_mps", "states"), [(5, 16), (4.99, 32), (0.29, 40)])
+    def test_speeds_close_to_the_limit_too(
+        self, signed_in: Visit, api: LiveApi, job_with_a_gap: str, least_mps: float, states: int
+    ) -> None:
+        change = {"minSpeed": least_mps}
+        self.test_what_is_shown_is_what_the_address_answers(signed_in, api, job_with_a_gap, change)
+        address = f"/v1/jobs/{job_with_a_gap}/tracks/summary?min_speed_mps={least_mps}"
+        assert api.http.get(address).json()["states"] == states
+
 
 def test_the_history_of_a_road_user_has_seven_degrees_of_freedom_with_their_intervals(
     signed_in: Visit, job: str
@@ -95,6 +128,59 @@ def test_keys_work_wherever_a_click_has_left_the_focus(signed_in: Visit, job: st
     page.wait_for_function("() => document.getElementById('clock').textContent === '0:01.9'")
     page.keyboard.press("]")
     page.get_by_text("Conflict 0: crossing").wait_for()
+
+
+def press(page: Any, key: str, clock: str) -> None:
+    """Press a key, after which the clock shows something."""
+    page.keyboard.press(key)
+    page.wait_for_function("clock => document.getElementById('clock').textContent === clock", arg=clock)
+
+
+def test_steps_cross_a_time_in_which_nobody_is_tracked(signed_in: Visit, job_with_a_gap: str) -> None:
+    page = signed_in.open(f"/jobs/{job_with_a_gap}/player?time_ns=1800000000")
+    slider = page.get_by_role("slider", name="Instant")
+    slider.wait_for()
+    for forward, back in ((".", ","), ("ArrowRight", "ArrowLeft")):
+        slider.focus()
+        press(page, forward, "0:01.9")
+        for tenths in range(20, 62):
+            press(page, forward, f"0:0{tenths // 10}.{tenths % 10}")
+        for clock in ("0:06.2", "0:06.4", "0:06.5"):  # at 6.24 and 6.41 s: the slider's steps are even
+            press(page, forward, clock)
+        slider.fill("62")
+        for tenths in range(61, 17, -1):
+            press(page, back, f"0:0{tenths // 10}.{tenths % 10}")
+
+
+@pytest.mark.parametrize(("asked", "clock"), [("abc", "0:00.0"), ("1e99", "0:00.0"), ("", "0:00.0"), ("-5", "0:00.0")])
+def test_an_address_without_a_time_shows_the_first(signed_in: Visit, job: str, asked: str, clock: str) -> None:
+    page = signed_in.open(f"/jobs/{job}/player?time_ns={asked}")
+    page.locator("#present option:nth-child(3)").wait_for(state="attached")
+    assert page.locator("#clock").inner_text() == clock
+
+
+def test_a_time_that_no_clock_shows_is_refused_in_the_page(signed_in: Visit, job: str) -> None:
+    page = signed_in.open(f"/jobs/{job}/player")
+    page.get_by_text("100 of 100 states").wait_for()
+    page.locator("#from").fill("1e12")
+    page.locator("#from:invalid").wait_for()
+    page.locator("#from").fill("4")
+    page.get_by_text("20 of 100 states").wait_for()
+
+
+def test_what_the_service_refuses_is_asked_for_once(playwright_browser: Any, api: LiveApi, job: str) -> None:
+    with visit(playwright_browser, api.url) as tab:
+        tab.sign_in()
+        asked: list[str] = []
+        tab.page.on("request", lambda request: asked.append(request.url) if "/compact" in request.url else None)
+        tab.page.route("**/tracks/compact*", lambda route: route.fulfill(status=404, json={"detail": "no tracks"}))
+        page = tab.open(f"/jobs/{job}/player")
+        page.get_by_text("The service refuses the tracks of this time").wait_for()
+        once = len(asked)
+        page.keyboard.press(".")
+        page.wait_for_timeout(4_000)  # longer than what fails for the moment waits
+        assert len(asked) == once
+        assert page.get_by_role("alert").get_by_text("No tracks.").count() == 1
 
 
 def test_boxes_move_along_their_tracks_to_when_a_frame_was_exposed(signed_in: Visit) -> None:

@@ -167,3 +167,9 @@ export function query(values) {
   const text = found.toString();
   return text ? `?${text}` : "";
 }
+
+/** A whole number that the page's own address gives; null where it gives none, or something else. @param {string} name @returns {number|null} */
+export function wholeNumber(name) {
+  const text = new URLSearchParams(location.search).get(name)?.trim(), value = text ? Math.round(Number(text)) : NaN;
+  return Number.isSafeInteger(value) ? value : null;
+}

@@ -101,6 +101,7 @@ export async function attempt(work) {
   try {
     return await work();
   } catch (error) {
+    if (/** @type {any} */ (error)?.name === "AbortError") return undefined;
     complain(error);
     if (/** @type {any} */ (error)?.name !== "Problem") console.error(error);
     return undefined;

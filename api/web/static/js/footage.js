@@ -7,6 +7,7 @@ import { get } from "./api.js";
  */
 export function resized(site, id, header) {
   const camera = site.cameras.find((/** @type {any} */ one) => one.id === id), { width_px, height_px } = header;
+  if (!camera) return null; // it was taken out of the site
   if (camera.calibration.correspondences?.length !== 0 || camera.signals.length) return null;
   if (camera.width_px === width_px && camera.height_px === height_px) return null;
   return { ...site, cameras: site.cameras.map((/** @type {any} */ one) => (one === camera ? { ...one, width_px, height_px } : one)) };

@@ -4,6 +4,8 @@ import { statesOf, Tracks } from "./trackdata.js";
 
 /** How long a window is, how far frames may lie from what they are shown with, and when what failed is asked for again. */
 const WINDOW_NS = 4e9, MARGIN_NS = 200_000_000, AGAIN_MS = 3000;
+/** Answers of the kind "your request is wrong" that may be others a little later: it took too long, there were too many. */
+const PASSING = [408, 429];
 /** So many windows beyond what is needed are kept on both sides, for whoever goes back and forth. */
 const SPARE = 2;
 
@@ -29,6 +31,8 @@ export class TrackWindows {
     this.parts = new Map();
     /** @type {Map<number, AbortController>} */
     this.loading = new Map();
+    /** Those that the service has refused: asking again would not help. @type {Set<number>} */
+    this.no = new Set();
     /** Nothing is asked for now, since it failed a moment ago; whether that was said. */
     this.failing = this.said = false;
     /** The windows that are joined in what follows, all in a row: the first, and the one after the last. */
@@ -50,15 +54,23 @@ export class TrackWindows {
     return this.parts.has(this.#number(timeNs));
   }
 
-  /** Say which time is shown, and what is needed around it. @param {number} nowNs @param {number} fromNs @param {number} toNs */
-  want(nowNs, fromNs, toNs) {
+  /** Whether the service has refused to say what is known of a time. @param {number} timeNs */
+  refused(timeNs) {
+    return this.no.has(this.#number(timeNs));
+  }
+
+  /**
+   * Say which time is shown, and what is needed around it.
+   * @param {number} nowNs @param {number} fromNs @param {number} toNs @param {boolean} [load] whether to ask for what is not here
+   */
+  want(nowNs, fromNs, toNs, load = true) {
     const now = this.#number(nowNs), from = this.#number(fromNs), to = this.#number(toNs);
     for (const [number, control] of this.loading) if (number < from || number > to) { control.abort(); this.loading.delete(number); }
     for (const number of this.parts.keys()) if (number < from - SPARE || number > to + SPARE) this.parts.delete(number);
-    if (!this.failing) {
+    if (load && !this.failing) {
       for (let by = 0; by <= to - from; by += 1) {
         for (const number of by ? [now + by, now - by] : [now]) {
-          if (number >= from && number <= to && !this.parts.has(number) && !this.loading.has(number)) this.#load(number);
+          if (number >= from && number <= to && ![this.parts, this.loading, this.no].some((there) => there.has(number))) this.#load(number);
         }
       }
     }
@@ -84,7 +96,10 @@ export class TrackWindows {
       if (control.signal.aborted) return;
       this.loading.delete(number);
       if (!this.said) this.page.failed(error);
-      this.failing = this.said = true;
+      this.said = true;
+      const status = /** @type {any} */ (error).status ?? 0;
+      if (status >= 400 && status < 500 && !PASSING.includes(status)) { this.no.add(number); this.page.arrived(); return; }
+      this.failing = true;
       setTimeout(() => { this.failing = false; this.page.arrived(); }, AGAIN_MS);
     }
   }

@@ -203,6 +203,8 @@ async function start() {
 /** A click is of a pixel of the recording: how large its pictures are must be known before, and for a new camera it says so itself. */
 async function readSize() {
   await recording?.load();
+  if (!resized(record.site, cameraId, recording?.header)) return;
+  record = await get(`/v1/sites/${siteId}`); // another page may have changed the site while the recording was read
   const sized = resized(record.site, cameraId, recording?.header);
   if (sized) record = await send("PUT", `/v1/sites/${siteId}`, sized);
 }

@@ -1,5 +1,5 @@
 // Instant by instant: how boxes were associated, what was fitted to them, and what the network says before and after.
-import { get } from "../api.js";
+import { get, wholeNumber } from "../api.js";
 import { attempt, byId, fill, h, isTaken, message, say } from "../dom.js";
 import { clock, number } from "../format.js";
 import { saveCanvases } from "../chart.js";
@@ -131,6 +131,6 @@ attempt(async () => {
   plan.fit(cameras.flatMap((camera) => [camera.centre, ...groundInView(camera, 35)]), 0.03);
   attempt(() => layMap(plan, `/v1/jobs/${jobId}/map?version=${found.map?.version}`, found.map));
   listen();
-  const wanted = Number(new URLSearchParams(location.search).get("time_ns"));
-  await show(wanted ? Math.max(times.findIndex((time) => time >= wanted), 0) : 0);
+  const wanted = wholeNumber("time_ns");
+  await show(wanted !== null ? Math.max(times.findIndex((time) => time >= wanted), 0) : 0);
 });

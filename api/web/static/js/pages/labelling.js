@@ -1,5 +1,5 @@
 // Labelling: all cameras' frames and the plan at one instant, with cuboids that are the same in all of them.
-import { get, query, send } from "../api.js";
+import { get, query, send, wholeNumber } from "../api.js";
 import { ask, attempt, byId, fill, h, message, say } from "../dom.js";
 import { clock, duration } from "../format.js";
 import { FrameCache } from "../frames.js";
@@ -103,8 +103,7 @@ async function merge(found, author) {
 /** Go to an instant. @param {number} time @param {Vehicle[]} [copied] vehicles that are to stand there, too */
 async function open(time, copied = []) {
   await store?.flush();
-  timeNs = time;
-  proposals = [];
+  [timeNs, proposals, exposures] = [time, [], {}]; // those of the instant before do not hold here
   byId("saved").textContent = `loading ${clock(time / 1e9)} …`;
   const here = new LabelStore(jobId, setName(), time, {
     author: () => byId("author").value.trim() || "somebody",
@@ -115,7 +114,8 @@ async function open(time, copied = []) {
   store = null;
   cache.want(neighbours(time).flatMap((at) => cameras.map((camera) => /** @type {[string, number]} */ ([camera.id, at]))));
   showFrames();
-  const [{ answer, draft }, proposed, stored] = await Promise.all([here.open(), get(`/v1/jobs/${jobId}/labels/instants/${time}/proposal`), around(time, NEAR_NS)]);
+  const [{ answer, draft }, proposed, stored] = await Promise.all([here.open(), get(`/v1/jobs/${jobId}/labels/instants/${time}/proposal`), around(time, NEAR_NS)])
+    .catch((error) => { if (time === timeNs) byId("saved").textContent = `${clock(time / 1e9)} could not be loaded; open it again`; throw error; });
   if (time !== timeNs) return;
   proposals = proposed;
   exposures = Object.fromEntries(Object.entries(stored.frame_times_ns).map(([camera, times]) => [camera, times[stored.times_ns.indexOf(time)]]));
@@ -360,8 +360,8 @@ async function loadList() {
   byId("elsewhere").textContent = elsewhere ? `${elsewhere} more labelled instant${elsewhere === 1 ? " is" : "s are"} of another job of this footage, with other instants than this one's. They are kept, and shown and changed on that job's page.` : "";
   listed = suggested.map((/** @type {any} */ one) => one.time_ns);
   test = [...new Set([...parts.test, ...labelled.keys()])].sort((a, b) => a - b);
-  const asked = new URLSearchParams(location.search).get("time_ns");
-  if (Number.isNaN(timeNs)) timeNs = asked === null ? (listed[0] ?? test[0] ?? Object.values(parts).flat()[0]) : await nearest(Number(asked));
+  const asked = wholeNumber("time_ns");
+  if (Number.isNaN(timeNs)) timeNs = asked === null ? (listed[0] ?? test[0] ?? Object.values(parts).flat()[0]) : await nearest(asked);
   showList();
 }
 

@@ -1,5 +1,5 @@
 // The player: the plan and all cameras' frames in step, with what happened drawn in.
-import { get, query } from "../api.js";
+import { get, query, wholeNumber } from "../api.js";
 import { attempt, byId, complain, fill, h, isTaken, message, say } from "../dom.js";
 import { clock, number, percent, words } from "../format.js";
 import { ClipPanel } from "../clippanel.js";
@@ -16,6 +16,8 @@ import { TrackWindows } from "../trackwindows.js";
 const FRAME_PX = 480, AHEAD = 12, NEAR_NS = 120_000_000, KEPT_MEASURES = 600;
 /** How far tracks are fetched ahead, beside what trails need; how many states a history has; how long a filter is typed, ms. */
 const NEXT_NS = 1e9, AHEAD_NS = 4e9, HISTORY = 600, TYPED_MS = 300;
+/** For how long the slider must rest before tracks are fetched, ms. */
+const RESTS_MS = 100;
 /** @type {import("../trackdata.js").Filter} */
 const filter = { classes: [], minSpeed: null, startNs: null, endNs: null, polygon: [] };
 /** All that was tracked, in short, and the stretch of it that is here. */
@@ -24,7 +26,7 @@ let now = 0, drawn = 0, playing = false, lastTick = 0, chosen = /** @type {Set<n
 const canvases = /** @type {Map<string, HTMLCanvasElement>} */ (new Map());
 const cache = new FrameCache(jobId, FRAME_PX, () => redraw());
 const plan = new Plan(byId("plan"), (view, context) => drawRoad(view, context, shown()));
-let states = /** @type {import("../trackdata.js").State[]} */ ([]), pending = false, counting = new AbortController(), typed = 0;
+let states = /** @type {import("../trackdata.js").State[]} */ ([]), pending = false, counting = new AbortController(), typed = 0, moving = 0;
 
 /** @returns {import("../playerdraw.js").Shown} */
 function shown() {
@@ -34,9 +36,9 @@ function shown() {
   };
 }
 
-/** The index of the instant that is shown; -1 where nobody was tracked then, or it is not here yet. */
+/** The index of the instant that is shown; -1 where nobody was tracked then, or it is not here yet. One period away is another instant. */
 function index() {
-  return known.tracks.indexNear(now, 1.25 * period());
+  return known.tracks.indexNear(now, 0.75 * period());
 }
 
 /** Between two instants, ns. @returns {number} */
@@ -103,7 +105,8 @@ function drawNow() {
   const picture = shown();
   for (const camera of cameras) {
     const at = frameAt(camera.id, time), canvas = canvases.get(camera.id);
-    if (canvas) drawFrame(canvas, camera, at === null ? null : cache.get(camera.id, at), { ...picture, states: statesIn(camera.id, at) }, byId("boxes").checked);
+    const image = at !== null ? cache.get(camera.id, at) : known.has(time) ? null : undefined; // which frames there are may not be known yet
+    if (canvas) drawFrame(canvas, camera, image, { ...picture, states: statesIn(camera.id, at) }, byId("boxes").checked);
   }
   performance.measure("draw", { start, end: performance.now() });
   if (performance.getEntriesByName("draw").length > KEPT_MEASURES) performance.clearMeasures("draw");
@@ -118,22 +121,31 @@ function present() {
 function show(timeNs) {
   now = Math.min(Math.max(timeNs, whole.first_ns), whole.last_ns);
   const before = Math.max(Number(byId("trail").value) * 1e9, NEXT_NS), after = playing ? AHEAD_NS * Math.max(1, Number(byId("speed").value)) : NEXT_NS;
-  known.want(now, now - before, now + after);
+  known.want(now, now - before, now + after, !moving);
   drawn = moment();
   const seconds = drawn / 1e9;
   byId("time").value = Math.round((drawn - whole.first_ns) / period());
   byId("time").setAttribute("aria-valuetext", clock(seconds));
   byId("clock").textContent = clock(seconds);
-  byId("waiting").textContent = known.has(now) ? "" : "Loading tracks …";
+  byId("waiting").textContent = known.has(now) ? "" : known.refused(now) ? "The service refuses the tracks of this time; reload the page to ask again." : "Loading tracks …";
   fetchAhead();
   redraw();
   if (!playing) showPresent();
 }
 
-/** One instant forward or back. @param {number} by 1 or -1 */
+/** One instant forward or back; where nobody was tracked, as far as to the next instant elsewhere. @param {number} by 1 or -1 */
 function step(by) {
-  const at = index(), next = at < 0 ? undefined : known.tracks.times[at + by];
-  show(next !== undefined && Math.abs(next - now) < 1.5 * period() ? next : moment() + by * period());
+  const at = index(), from = moment(), next = at < 0 ? undefined : known.tracks.times[at + by];
+  show(next !== undefined && Math.abs(next - from) < 1.5 * period() ? next : from + by * period());
+}
+
+/** Where the slider is now. Its steps are even and instants may not be: one that ends at the same instant goes on to the next. */
+function slide() {
+  const before = drawn, to = whole.first_ns + Number(byId("time").value) * period();
+  clearTimeout(moving);
+  moving = window.setTimeout(() => { moving = 0; show(now); }, RESTS_MS);
+  show(to);
+  if (drawn === before && to !== before) step(Math.sign(to - before));
 }
 
 /** @param {number} at ms */
@@ -169,10 +181,18 @@ async function choose(trackId) {
   redraw();
   if (trackId === null) { fill(byId("chosen"), h("p.note", null, "Nothing. Click a vehicle in the plan or in a view, or choose one here:")); return; }
   fill(byId("chosen"), h("p.note", null, "Loading its history …"));
-  const path = `/v1/jobs/${jobId}/tracks`, at = moment(), of = await get(`${path}/summary${query({ track_id: trackId })}`);
-  const start = of.states > HISTORY ? Math.max(of.first_ns, Math.min(at - (HISTORY / 2) * of.period_ns, of.last_ns - HISTORY * of.period_ns)) : null;
-  const { states: history } = await get(`${path}${query({ track_id: trackId, start_ns: start, limit: HISTORY })}`);
-  if (!chosen.has(trackId) || chosen.size > 1) return; // another was chosen meanwhile
+  const path = `/v1/jobs/${jobId}/tracks`, isChosen = () => chosen.has(trackId) && chosen.size === 1; // else another is meanwhile
+  let of = /** @type {any} */ (null), history = /** @type {any[]} */ ([]);
+  try {
+    const at = moment();
+    of = await get(`${path}/summary${query({ track_id: trackId })}`);
+    const start = of.states > HISTORY ? Math.round(Math.max(of.first_ns, Math.min(at - (HISTORY / 2) * of.period_ns, of.last_ns - HISTORY * of.period_ns))) : null;
+    history = (await get(`${path}${query({ track_id: trackId, start_ns: start, limit: HISTORY })}`)).states;
+  } catch (error) {
+    if (isChosen()) fill(byId("chosen"), h("p.note", null, `The history of track ${trackId} could not be loaded; choose it again.`));
+    throw error;
+  }
+  if (!isChosen()) return;
   const name = `Track ${trackId}, ${of.classes[0].class}`;
   fill(byId("chosen"), h("p", null, h("strong", null, name), ` · ${clock(of.first_ns / 1e9)} to ${clock(of.last_ns / 1e9)} · fastest ${number(of.fastest_mps, 1)} m/s `,
     h("a", { href: `${path}${query({ format: "csv", track_id: trackId })}`, download: true }, "CSV")),
@@ -221,7 +241,9 @@ function filtered() {
   filter.classes = [...byId("classes").querySelectorAll("input:checked")].map((input) => /** @type {HTMLInputElement} */ (input).value);
   if (filter.classes.length === byId("classes").querySelectorAll("input").length) filter.classes = [];
   const value = (/** @type {string} */ id, /** @type {number} */ factor) => (byId(id).value === "" ? null : Math.round(Number(byId(id).value) * factor));
-  filter.minSpeed = byId("min-speed").value === "" ? null : Number(byId("min-speed").value);
+  if ([...byId("filter").elements].some(({ validity: is }) => is?.badInput || is?.rangeOverflow || is?.rangeUnderflow)) { byId("filter").reportValidity(); return; } // the filter stays as it was
+  const speed = value("min-speed", 100);
+  filter.minSpeed = speed === null ? null : speed / 100;
   filter.startNs = value("from", 1e9);
   filter.endNs = value("to", 1e9);
   showQuery();
@@ -230,7 +252,7 @@ function filtered() {
 
 /** @param {number[]} world */
 function clickPlan(world) {
-  if (byId("draw").getAttribute("aria-pressed") === "true") { filter.polygon = [...filter.polygon, world]; filtered(); return; }
+  if (byId("draw").getAttribute("aria-pressed") === "true") { filter.polygon = [...filter.polygon, world.map((value) => Number(value.toFixed(2)))]; filtered(); return; }
   const hit = states.find((state) => inside(footprint(boxOf(state)), world[0], world[1])) ?? states.find((state) => Math.hypot(state.x_m - world[0], state.y_m - world[1]) < 10 / plan.pxPerM);
   attempt(() => choose(hit?.track_id ?? null));
 }
@@ -257,7 +279,7 @@ function listen() {
   byId("play").addEventListener("click", () => play(!playing));
   byId("back").addEventListener("click", () => step(-1));
   byId("forward").addEventListener("click", () => step(1));
-  byId("time").addEventListener("input", () => show(whole.first_ns + Number(byId("time").value) * period()));
+  byId("time").addEventListener("input", slide);
   for (const id of ["colour", "trail", "boxes"]) byId(id).addEventListener("input", () => show(now));
   byId("present").addEventListener("change", () => attempt(() => choose(byId("present").value === "" ? null : Number(byId("present").value))));
   byId("filter").addEventListener("submit", (/** @type {Event} */ event) => event.preventDefault());
@@ -317,10 +339,9 @@ async function start() {
   listen();
   showQuery();
   new ClipPanel(() => ({ filter, colour: byId("colour").value, trailS: Number(byId("trail").value), boxes: byId("boxes").checked, speed: Number(byId("speed").value) }), moment, () => [whole.first_ns, whole.last_ns + 1e8]);
-  const wanted = new URLSearchParams(location.search);
-  const asked = conflicts.find((one) => String(one.conflict_id) === wanted.get("conflict"));
+  const asked = conflicts.find((one) => one.conflict_id === wholeNumber("conflict"));
   if (asked) openConflict(asked);
-  else show(wanted.has("time_ns") ? Number(wanted.get("time_ns")) : whole.first_ns);
+  else show(wholeNumber("time_ns") ?? whole.first_ns);
 }
 
 attempt(start);

@@ -16,16 +16,22 @@ function show(id, ...content) {
   byId(id).hidden = false;
 }
 
+const whenIdle = window.requestIdleCallback ?? ((/** @type {() => void} */ work) => setTimeout(work, 200));
+
 /**
- * Fill a section once one is about to see it, or prints the page: what grows with the recording is not asked for before.
+ * Fill a section once the browser has nothing else to do: it may grow with the recording, so all else is shown first, but a printed page needs it.
  * @param {string} id @param {() => Promise<any>} work
  */
 function later(id, work) {
   show(id, h("p.note", { role: "status" }, "Loading …"));
-  const watch = new IntersectionObserver((entries) => { if (entries.some((one) => one.isIntersecting)) begin(); }, { rootMargin: "400px" });
-  const begin = () => { watch.disconnect(); window.removeEventListener("beforeprint", begin); attempt(work); };
-  window.addEventListener("beforeprint", begin);
-  watch.observe(byId(id));
+  whenIdle(() => attempt(async () => {
+    try {
+      await work();
+    } catch (error) {
+      show(id, h("p.note", null, "This could not be loaded; reload the page to ask again."));
+      throw error;
+    }
+  }));
 }
 
 /** @param {HTMLElement[]} found */
@@ -115,6 +121,6 @@ attempt(async () => {
   made = found;
   downloads();
   const there = await Promise.all([quality(), training(), calibration(), data(), amounts(job)]);
-  there.push(sync(), trajectories()); // where these are is known now, and with it whether they are seen
+  there.push(sync(), trajectories());
   if (!there.includes(true)) fill(byId("nothing"), message("plain", "nothing has been made yet", "Figures appear here as stages finish."));
 });
