@@ -9,7 +9,6 @@ from typing import Any, Final
 
 import numpy as np
 import pyarrow as pa
-import pyarrow.parquet as pq
 
 from wibam_core.adapters.track_query import TrackQuery, cursor_of, query_tracks
 from wibam_core.documents.tracks import (
@@ -21,7 +20,7 @@ from wibam_core.documents.tracks import (
     TracksSummary,
 )
 
-#: Decimals of what is drawn: 1 cm, 1 mrad, 1 cm/s.
+#: Decimals of what is drawn: 1 cm, 1 mrad, 1 cm/s. Speeds are rounded down: as many pass a limit as without rounding.
 _DECIMALS: Final = {
     **dict.fromkeys(("x_m", "y_m", "z_m", "length_m", "width_m", "height_m", "speed_mps"), 2),
     "yaw_rad": 3,
@@ -79,6 +78,7 @@ def compact(path: Path, query: TrackQuery) -> CompactTracks:
     instants, at = np.unique(times, return_inverse=True)
     ids = table["track_id"].to_numpy()
     columns = {name: np.round(table[name].to_numpy(), digits) for name, digits in _DECIMALS.items()}
+    columns["speed_mps"] = _rounded_down(table["speed_mps"].to_numpy(), _DECIMALS["speed_mps"])
     names = table["class"].to_pylist()
     tracks = [
         CompactTrack(
@@ -104,31 +104,41 @@ def paths(path: Path, query: TrackQuery) -> TrackPaths:
         path: a file of `wibam_core.formats.tracks`.
         query: which states; it has no limit.
     """
-    states = pq.read_metadata(path).num_rows
-    table, instants = _every(path, query, 1 + states // _PATH_STATES)
+    tracks, states = _counts(path, query)
+    table, instants = _every(path, query, max(1, -(-states // _PATH_STATES)))
     ids = table["track_id"].to_numpy()
     places = np.stack([table["x_m"].to_numpy(), table["y_m"].to_numpy()], axis=1)
     rows = _by_track(ids)
     shown = rows[:: 1 + (len(rows) - 1) // _PATHS] if rows else []
     classes, tolerance_m = table["class"], _TOLERANCES_M[0]
-    lines = [_corners(places[of], tolerance_m) for of in shown]
+    lines = [corners_of(places[of], tolerance_m) for of in shown]
     while sum(map(len, lines)) > _PATH_CORNERS and tolerance_m < _TOLERANCES_M[1]:
         tolerance_m *= 2
-        lines = [_corners(places[of], tolerance_m) for of in shown]
+        lines = [corners_of(places[of], tolerance_m) for of in shown]
     return TrackPaths(
-        tracks=len(rows),
+        tracks=tracks,
         tolerance_m=tolerance_m,
         period_ns=_period_ns(instants),
         paths=[
             TrackPath(
                 track_id=int(ids[of[0]]),
                 road_user_class=classes[of[0]].as_py(),
-                x_m=np.round(line[:, 0], 2).tolist(),
-                y_m=np.round(line[:, 1], 2).tolist(),
+                x_m=line[:, 0].tolist(),
+                y_m=line[:, 1].tolist(),
             )
             for of, line in zip(shown, lines, strict=True)
         ],
     )
+
+
+def _counts(path: Path, query: TrackQuery) -> tuple[int, int]:
+    """How many tracks match, and how many states."""
+    tracks, states = np.empty(0, np.int64), 0
+    with query_tracks(path, replace(query, limit=None), ("track_id",)) as batches:
+        for batch in batches:
+            tracks = np.union1d(tracks, batch["track_id"].to_numpy())
+            states += len(batch)
+    return len(tracks), states
 
 
 def _every(path: Path, query: TrackQuery, step: int) -> tuple[pa.Table, np.ndarray]:
@@ -147,14 +157,37 @@ def _every(path: Path, query: TrackQuery, step: int) -> tuple[pa.Table, np.ndarr
     return table, np.unique(np.concatenate([np.empty(0, np.int64), *instants]))
 
 
-def _corners(line: np.ndarray, tolerance_m: float) -> np.ndarray:
-    """Those of (N, 2) points in m that keep the line within the tolerance of all of them (Douglas, Peucker)."""
-    if len(line) < 3:
-        return line
-    import cv2
+def corners_of(line: np.ndarray, tolerance_m: float) -> np.ndarray:
+    """Few of the points of a line, rounded to 1 cm, with no point farther than the tolerance from what connects them.
 
-    begin = line[0]  # the function counts in float32, which far from the world's origin is coarse
-    return begin + cv2.approxPolyDP((line - begin).astype(np.float32)[:, None], tolerance_m, False)[:, 0]
+    From both ends on, the point that lies farthest from the straight piece beside it becomes a corner, until none lies
+    too far (D. H. Douglas and T. K. Peucker, 1973). Distances are from pieces and not from endless lines: a line may
+    turn back, or end where it began.
+
+    Args:
+        line: (N, 2) m, N ≥ 1.
+        tolerance_m: at least 0.01, since corners are rounded.
+
+    Returns:
+        (K, 2) m, in their order; one corner where the whole line is as near as that to where it begins.
+    """
+    rounded = np.round(line, 2)
+    if np.hypot(*(line - rounded[0]).T).max() <= min(tolerance_m, _TOLERANCES_M[0]):
+        return rounded[:1]
+    kept, pieces = {0, len(line) - 1}, [(0, len(line) - 1)]
+    while pieces:
+        first, last = pieces.pop()
+        between = line[first + 1 : last] - rounded[first]
+        if not len(between):
+            continue
+        along = rounded[last] - rounded[first]
+        share = np.clip(between @ along / max(along @ along, 1e-9), 0.0, 1.0)
+        off = np.hypot(*(between - share[:, None] * along).T)
+        if off.max() > tolerance_m:
+            middle = first + 1 + int(off.argmax())
+            kept.add(middle)
+            pieces += [(first, middle), (middle, last)]
+    return rounded[sorted(kept)]
 
 
 def _by_track(ids: np.ndarray) -> list[np.ndarray]:
@@ -177,6 +210,11 @@ def _most(counts: Counter[str]) -> list[tuple[str, int]]:
 
 def _period_ns(instants: np.ndarray) -> int | None:
     return int(np.median(np.diff(instants))) if len(instants) > 1 else None
+
+
+def _rounded_down(values: np.ndarray, digits: int) -> np.ndarray:
+    nearest = np.round(values, digits)
+    return np.where(nearest > values, np.round(nearest - 10.0**-digits, digits), nearest)
 
 
 def _listed(values: np.ndarray) -> list[Any]:

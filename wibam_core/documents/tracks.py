@@ -92,6 +92,7 @@ class CompactTrack(Document):
     yaw_rad: list[float]
     """To 1 mrad."""
     speed_mps: list[float]
+    """Rounded down, to 1 cm/s: as many reach a limit of whole cm/s as of the states in full."""
 
 
 class CompactTracks(Document):
@@ -105,7 +106,11 @@ class CompactTracks(Document):
 
 
 class TrackPath(Document):
-    """Where one road user went: corners of a line that is nowhere farther from it than the tolerance."""
+    """Where one road user went: corners of a line.
+
+    Where it was at the instants that were looked at is nowhere farther from the line than the tolerance; one corner
+    says that it stood.
+    """
 
     track_id: int
     road_user_class: str = Field(alias="class")
@@ -118,8 +123,10 @@ class TrackPaths(Document):
     """Where road users went, thinned to be drawn together."""
 
     tracks: int
-    """How many match; where these are too many to be drawn, `paths` has every second, third, ... of them."""
+    """How many match; where these are too many to be drawn, `paths` has every second, third, ... of them. It lacks who
+    was there only between the instants that were looked at, too."""
     tolerance_m: float
+    """Of states at the instants that were looked at; those in between may lie farther off."""
     period_ns: int | None
     """Between the instants that were looked at: of very many states not all are; null of a single instant."""
     paths: list[TrackPath]

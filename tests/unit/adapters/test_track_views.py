@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 
 from wibam_core.adapters import track_views
 from wibam_core.adapters.track_query import TrackQuery
@@ -103,7 +106,7 @@ def test_nobody_is_further_from_a_path_than_its_tolerance(path: Path, tracks: li
     assert [one.track_id for one in found.paths] == [3, 7, 8]
     for one, way in zip(found.paths, tracks, strict=True):
         corners = np.column_stack([one.x_m, one.y_m])
-        assert farthest(way.boxes[:, :2], corners) < 0.2 + 0.01
+        assert farthest(way.boxes[:, :2], corners) <= 0.2 + 1e-6
     assert 4 < len(found.paths[0].x_m) < 20, "a turn needs some corners, and not 200"
     assert len(found.paths[1].x_m) == 1, "who stands has one place"
 
@@ -114,7 +117,8 @@ def farthest(places: np.ndarray, corners: np.ndarray) -> float:
         return float(np.hypot(*(places - corners[0]).T).max())
     distances = []
     for a, b in pairwise(corners):
-        share = np.clip(((places - a) @ (b - a)) / ((b - a) @ (b - a)), 0.0, 1.0)
+        length = (b - a) @ (b - a)
+        share = np.clip(((places - a) @ (b - a)) / length, 0.0, 1.0) if length else np.zeros(len(places))
         distances.append(np.hypot(*(places - a - share[:, None] * (b - a)).T))
     return float(np.min(distances, axis=0).max())
 
@@ -126,10 +130,53 @@ def test_paths_of_many_stay_few(tmp_path: Path, monkeypatch: pytest.MonkeyPatch)
     found = track_views.paths(tmp_path / "t.parquet", EVERYTHING)
     assert found.tracks == 70
     assert [one.track_id for one in found.paths] == list(range(0, 70, 3))
-    assert found.period_ns == 5 * PERIOD_NS, "every fifth instant of 2,800 states"
+    assert found.period_ns == 4 * PERIOD_NS, "every fourth instant of 2,800 states"
     assert sum(len(one.x_m) for one in found.paths) <= 100
     assert 0.2 < found.tolerance_m <= 6.4
-    looked_at = [number for number in range(109) if number % 5 == 0]
+    looked_at = [number for number in range(109) if number % 4 == 0]
     for one in found.paths:
         rows = [number - one.track_id for number in looked_at if 0 <= number - one.track_id < 40]
-        assert farthest(turning(40)[rows], np.column_stack([one.x_m, one.y_m])) < found.tolerance_m + 0.01
+        assert farthest(turning(40)[rows], np.column_stack([one.x_m, one.y_m])) <= found.tolerance_m + 1e-6
+
+
+def test_paths_of_a_few_states_of_many_are_not_thinned(path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(track_views, "_PATH_STATES", 100)
+    found = track_views.paths(path, TrackQuery(start_ns=500 * PERIOD_NS))
+    assert found.period_ns == PERIOD_NS, "60 of 660 states match"
+
+
+def test_who_is_there_between_the_instants_that_are_looked_at_counts(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(track_views, "_PATH_STATES", 50)
+    write_tracks(tmp_path / "t.parquet", [track(1, turning(100)), track(2, turning(1), 52)])
+    found = track_views.paths(tmp_path / "t.parquet", EVERYTHING)
+    assert (found.tracks, [one.track_id for one in found.paths]) == (2, [1])
+
+
+STEPS = st.lists(st.tuples(*[st.floats(-3.0, 3.0)] * 2), min_size=1, max_size=60)
+
+
+@given(
+    steps=STEPS, closed=st.booleans(), jitter=st.sampled_from([0.0, 0.1, 0.5]), tolerance_m=st.sampled_from([0.2, 1.6])
+)
+def test_corners_keep_the_tolerance(
+    steps: list[tuple[float, float]], closed: bool, jitter: float, tolerance_m: float
+) -> None:
+    line = np.array([512_345.0, 5_403_210.0]) + np.cumsum(steps, axis=0)
+    line += jitter * np.random.default_rng(len(steps)).normal(size=line.shape)
+    if closed:
+        line = np.concatenate([line, line[::-1], line[:1]])
+    corners = track_views.corners_of(line, tolerance_m)
+    assert farthest(line, corners) <= tolerance_m + 1e-6
+    assert np.hypot(*(corners[0] - line[0])) <= 0.01
+    if len(corners) > 1:
+        assert np.hypot(*(corners[-1] - line[-1])) <= 0.01
+
+
+def test_speeds_are_rounded_down(tmp_path: Path) -> None:
+    speeds = np.array([0.29, 4.994, 4.996, 5.0, 5.009, 0.0, 0.999999])
+    there = replace(track(1, turning(len(speeds))), velocities_mps=np.column_stack([speeds, np.zeros(len(speeds))]))
+    write_tracks(tmp_path / "t.parquet", [there])
+    [found] = track_views.compact(tmp_path / "t.parquet", EVERYTHING).tracks
+    assert found.speed_mps == [0.29, 4.99, 4.99, 5.0, 5.0, 0.0, 0.99]
