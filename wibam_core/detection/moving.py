@@ -93,13 +93,20 @@ class Stillness:
         tones = _tones(background.image)
         scale = scale_of((images[0].shape[1], images[0].shape[0]), (tones.shape[1], tones.shape[0]), 4)
         places = np.linspace(0, len(images) - 1, min(len(images), _FRAMES)).round().astype(int)
+        decided = np.zeros(tones.shape[:2], bool)
+        shrunk: list[Image] = []
+        if uncovered is not None:
+            shrunk = [resized_mask(of, (tones.shape[1], tones.shape[0])) for of in uncovered]
+            decided = np.sum([of > 0 for of in shrunk], axis=0) >= FEWEST_UNCOVERED
+            shown = np.sum([shrunk[k] > 0 for k in places], axis=0)
+            for k in np.setdiff1d(np.arange(len(images)), places):  # others that show what too few of these do
+                if ((shrunk[k] > 0) & decided & (shown < FEWEST_UNCOVERED)).any():
+                    places, shown = np.append(places, k), shown + (shrunk[k] > 0)
         apart = np.stack([np.abs(_tones(images[k]).astype(np.float32) - tones).mean(axis=2) for k in places])
         hidden = np.zeros(apart.shape, bool)
         if boxes is not None:
             hidden = ~np.stack([outside(resized_px(boxes[k], scale), tones.shape[:2]) for k in places])
         if uncovered is not None:
-            shrunk = [resized_mask(of, (tones.shape[1], tones.shape[0])) for of in uncovered]
-            decided = np.sum([of > 0 for of in shrunk], axis=0) >= FEWEST_UNCOVERED
             hidden = np.where(decided, ~np.stack([shrunk[k] > 0 for k in places]), hidden)
         apart[hidden & ~hidden.all(axis=0)] = np.nan  # of what is always hidden all images tell
         sd = (_SD_OF_MEDIAN * np.nanmedian(apart, axis=0)).astype(np.float32)

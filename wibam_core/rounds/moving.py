@@ -57,7 +57,8 @@ class BesideWhatMoves(NamedTuple):
     Attributes:
         found: the detector's boxes and silhouettes of vehicles that move, in all frames, px of the recording.
         told_apart: the detector's.
-        stills: what each camera shows without vehicles, by camera and number of the background.
+        stills: what each camera shows without vehicles, by camera and number of the background; none where no round
+            with a network may follow.
     """
 
     found: dict[FrameKey, Boxes2D]
@@ -86,7 +87,9 @@ def beside_what_moves(world: World, detected: Detected, progress: Progress = sil
             if not world.shown[camera_id].of_block(block):  # no frame shows the background then
                 found |= {frame: detected[frame] for frame in of_block}
                 continue
-            still = stills[camera_id, block] = Still.of(world, camera_id, block, detected)
+            still = Still.of(world, camera_id, block, detected)
+            if world.options.rounds.most:  # else no network's boxes are looked at again
+                stills[camera_id, block] = still.alone()
             add = partial(_with_silhouettes, world, refiner, still)
             own = pool.map(add, of_block, map(detected.__getitem__, of_block))
             for frame, (boxes, scenery) in zip(of_block, own, strict=True):
@@ -142,6 +145,10 @@ class Still(NamedTuple):
     scenery: Scenery
     background: StillBackground
     stillness: Stillness
+
+    def alone(self) -> Still:
+        """The same, sharing nothing that is computed when it is first used: to be kept."""
+        return self._replace(background=StillBackground(self.background.image, self.background.known))
 
     @classmethod
     def of(cls, world: World, camera_id: str, block: int, detected: Detected) -> Still:

@@ -85,6 +85,21 @@ def test_what_is_usual_is_told_by_images_in_which_nobody_stands() -> None:
     assert len(Stillness.of(still, images).silhouettes(noisy(body, 99))) == 0
 
 
+def test_ground_that_was_uncovered_in_two_of_many_images_tells_what_is_usual() -> None:
+    """Also where neither of the two is among the half of the images that are looked at otherwise."""
+    body = ground()
+    body[BODY] = (70, 72, 74)
+    places = np.linspace(0, 31, 16).round().astype(int)
+    free = np.setdiff1d(np.arange(32), places)[-2:]
+    images = [noisy(ground() if k in free else body, k) for k in range(32)]
+    uncovered = [np.zeros((HEIGHT, WIDTH), np.uint8) for _ in images]
+    for k in free:
+        uncovered[k][90:150, 110:210] = 255
+    still = StillBackground(ground(), np.full((HEIGHT, WIDTH), 255, np.uint8))
+    (found,) = Stillness.of(still, images, None, uncovered).silhouettes(noisy(body, 99))
+    assert iou(found, BOX) > 0.8
+
+
 def test_what_always_flickers_is_none_and_a_body_beside_it_is_one() -> None:
     def with_leaves(seed: int) -> np.ndarray:
         image = ground()
