@@ -116,8 +116,8 @@ def looked_at_again(
     refiner = EdgeRefiner()
     frames = frames_of(world.instants)
 
-    def again(frame: FrameKey) -> tuple[Boxes2D, Boxes2D]:
-        still, seen = stills.get(_block(world, frame)), looked[frame]
+    def again(still: Still | None, frame: FrameKey) -> tuple[Boxes2D, Boxes2D]:
+        seen = looked[frame]
         if still is None:
             return seen, seen.where(np.empty(0, dtype=np.int64))
         image = world.store.image_at(*frame)
@@ -126,12 +126,15 @@ def looked_at_again(
         boxes = _looked_at(world, refiner, still, frame, image, of, classify)
         return boxes, boxes.where(still.scenery.holds(image, world.store.to_stored_px(frame.camera_id, boxes.boxes)))
 
-    found, on_scenery = {}, {}
+    found: dict[FrameKey, Boxes2D] = {}
+    on_scenery: dict[FrameKey, Boxes2D] = {}
     with ThreadPoolExecutor(max_workers=len(os.sched_getaffinity(0))) as pool:
-        for number, (frame, of) in enumerate(zip(frames, pool.map(again, frames), strict=True)):
-            found[frame], on_scenery[frame] = of
-            if number % 200 == 0:
-                progress(number / len(frames), f"looking again: {number} of {len(frames)} frames")
+        for block, group in groupby(frames, key=partial(_block, world)):
+            of_block, still = list(group), stills.get(block)
+            own = pool.map(partial(again, None if still is None else still.alone()), of_block)
+            for frame, of in zip(of_block, own, strict=True):
+                found[frame], on_scenery[frame] = of
+            progress(len(found) / len(frames), f"looking again: {len(found)} of {len(frames)} frames")
     return (seen_once(found, world.rig) if world.rig.views else found), on_scenery
 
 

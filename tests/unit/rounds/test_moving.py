@@ -1,6 +1,7 @@
 """What moves, beside what a detector found."""
 
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
 import cv2
@@ -14,7 +15,7 @@ from wibam_core.detection.second_look import backgrounds_shown
 from wibam_core.formats.framestore import FrameStore, FrameStoreWriter
 from wibam_core.geometry.boxes2d import image_iou
 from wibam_core.road_users import RoadUserClass
-from wibam_core.rounds.moving import beside_what_moves
+from wibam_core.rounds.moving import beside_what_moves, looked_at_again
 from wibam_core.rounds.world import Options, World
 from wibam_core.scene import Boxes2D, CameraRig, FrameKey
 
@@ -158,3 +159,15 @@ def test_boxes_on_what_never_changes_are_told_apart_and_hide_nothing_that_passes
     found = beside_what_moves(world, scenery).found
     overlaps = [image_iou(found[frame].boxes, boxes[frame]).max(initial=0.0) for frame in there]
     assert np.mean(np.array(overlaps) > 0.6) > 0.9
+
+
+def test_stills_are_held_for_networks_alone_and_without_what_a_look_computes(tmp_path: Path) -> None:
+    world, _ = recorded(tmp_path, (4.4, 1.8, 1.5))
+    frames = frames_of(world.instants)
+    found, _, stills = beside_what_moves(world, dict.fromkeys(frames, NOTHING))
+    again, on_scenery = looked_at_again(world, stills, found)
+    assert list(again) == list(on_scenery) == frames
+    assert any(np.isfinite(of.amodal_boxes).any() for of in again.values())
+    assert stills and not any("layers" in vars(still.background) for still in stills.values())
+    without = replace(world, options=replace(world.options, rounds=RoundsConfig(most=0)))
+    assert not beside_what_moves(without, dict.fromkeys(frames, NOTHING)).stills
