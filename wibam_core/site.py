@@ -361,7 +361,8 @@ def _is_used_at(area: Any, latitude_deg: float, longitude_deg: float) -> bool:
     if area is None or area.west > area.east:
         return True
     within_lat = area.south - _NEAR_DEG <= latitude_deg <= area.north + _NEAR_DEG
-    return within_lat and area.west - _NEAR_DEG <= longitude_deg <= area.east + _NEAR_DEG
+    aside_deg = (longitude_deg - (area.west + area.east) / 2 + 180) % 360 - 180  # across the antimeridian, too
+    return within_lat and abs(aside_deg) <= (area.east - area.west) / 2 + _NEAR_DEG
 
 
 def _check_focal_length(camera_id: str, K: tuple[Row3, Row3, Row3]) -> None:

@@ -9,7 +9,7 @@ import pytest
 
 from tests.builders import corner_rig, site_of
 from wibam_core.errors import SiteFileError
-from wibam_core.site import Site
+from wibam_core.site import Origin, Site, _check_epsg
 from wibam_core.stages.runner import SiteFolder
 
 
@@ -167,3 +167,10 @@ def test_an_origin_far_from_where_its_system_is_used_is_refused(
     assert ("exchanged" in caught.value.hint) == (epsg == 25832)
     data["origin"] = {"latitude_deg": 48.1, "longitude_deg": 11.6, "epsg": 25832}
     Site.parse(json.dumps(data))
+
+
+@pytest.mark.parametrize(
+    ("latitude", "longitude", "epsg"), [(52, 179.9, 32601), (52, -179.9, 32660), (-16.8, -179.9, 32760)]
+)
+def test_an_origin_across_the_antimeridian_is_near(latitude: float, longitude: float, epsg: int) -> None:
+    _check_epsg(Origin(latitude_deg=latitude, longitude_deg=longitude, epsg=epsg), epsg)

@@ -37,6 +37,8 @@ _FITTING_PX = 3.0
 #: Ratios of picture sizes that people use side by side, and widths of pixels that are not square.
 _SIZE_RATIOS = (1 / 3, 0.5, 2 / 3, 0.75, 4 / 3, 1.5, 2.0, 3.0)
 _PIXEL_WIDTHS = (0.75, 4 / 3, 45 / 64, 64 / 45)
+#: Widths of pixels over their heights, with which cameras store pictures, and 1 where another one was said in vain.
+_PIXEL_ASPECTS = (1.0, 0.75, 4 / 3, 9 / 16, 16 / 9, 15 / 16, 16 / 15, 45 / 64, 64 / 45)
 #: Units that heights are given in beside metres on the ground.
 _HEIGHTS_M = (("feet", 0.3048), ("centimetres", 0.01), ("millimetres", 0.001))
 #: Focal lengths closer than this to that of K are not called another one.
@@ -236,14 +238,14 @@ def _readings(given: Sighting) -> Iterator[tuple[Reading, Sighting]]:
     if given.K is not None:
         yield from _of_intrinsics(given, given.K)
     elif given.solves_lens:
-        for aspect in _PIXEL_WIDTHS:
+        for aspect in _PIXEL_ASPECTS:
             yield (
                 Reading(
                     f"the points fit pixels that are {aspect:.3g} times as wide as high",
                     f'Say "pixel_aspect": {aspect:.4g} in the calibration if the recording is squeezed so, or give the '
                     "size that players show, and pixels as clicked there.",
                 ),
-                replace(given, pixel_aspect=given.pixel_aspect * aspect),
+                replace(given, pixel_aspect=aspect),
             )
 
 

@@ -23,8 +23,7 @@ def region_cautions(site: Site) -> list[Caution]:
     for camera in lit:
         found += [caution.of_camera(camera.id) for caution in _drawn(camera)]
         elsewhere = [signal.id for other in lit if other is not camera for signal in other.signals]
-        if len(lit) > 1:
-            found += [caution.of_camera(camera.id) for caution in _named(camera, elsewhere)]
+        found += [caution.of_camera(camera.id) for caution in _named(camera, elsewhere)]
     return found
 
 

@@ -79,7 +79,7 @@ def test_a_signal_that_no_other_camera_has_is_said_with_the_one_that_looks_like_
     first, second = region_cautions(site([("North", HEAD)], [("north ", HEAD)], []))
     assert first.code == second.code == "signal_alone"
     assert "'north '" in first.message and "letter by letter" in first.hint
-    assert codes(site([("a", HEAD)], [])) == []
+    assert codes(site([("a", HEAD)], [])) == ["signal_alone"]
 
 
 def test_signals_of_which_nothing_was_seen_are_said_by_name():

@@ -106,7 +106,8 @@ def describe(
     if correspondences:
         kind = "pnp" if intrinsics else "points" if _solves_lens(old, correspondences) else "homography"
         calibration = {"kind": kind, **intrinsics, "correspondences": correspondences}
-        if not intrinsics and isinstance(old, HomographyCalibration | PointsCalibration):
+        same_size = before is not None and size_px == (before.width_px, before.height_px)
+        if not intrinsics and same_size and isinstance(old, HomographyCalibration | PointsCalibration):
             calibration["pixel_aspect"] = old.pixel_aspect
         if posed is not None:
             notes.append("The pose in the files is left out: it follows from the points.")
