@@ -239,6 +239,8 @@ def _readings(given: Sighting) -> Iterator[tuple[Reading, Sighting]]:
         yield from _of_intrinsics(given, given.K)
     elif given.solves_lens:
         for aspect in _PIXEL_ASPECTS:
+            if abs(aspect - given.pixel_aspect) < 0.01 * aspect:
+                continue
             yield (
                 Reading(
                     f"the points fit pixels that are {aspect:.3g} times as wide as high",

@@ -205,7 +205,7 @@ def _of_pictures(info: VideoInfo) -> Iterator[Caution]:
         first_s, last_s = (time_ns / 1e9 for time_ns in info.still_ns)
         yield Caution(
             code="picture_still",
-            message=f"all pictures that were looked at between {first_s:.1f} and {last_s:.1f} s are the same",
+            message=f"all pictures that were looked at between {first_s:.1f} and {last_s:.1f} s are alike",
             hint="Look at it: the camera froze, its lens was covered, or nobody was there in the dark. A frozen "
             "picture shows vehicles where they no longer are.",
             details={"from_s": first_s, "to_s": last_s},
