@@ -340,6 +340,15 @@ def add_options(parser: argparse.ArgumentParser, *, steps: int, images: int, bat
     parser.add_argument("--device", choices=("auto", "cpu", "cuda"), default="cpu")
 
 
+def add_varied_options(parser: argparse.ArgumentParser, *, varied: int) -> None:
+    """What can be chosen for networks that learn from varied views, too."""
+    parser.add_argument(
+        "--varied", type=int, default=varied, metavar="N", help="of ten sites, so many have varied views"
+    )
+    parser.add_argument("--near", type=float, default=0.0, help="share of varied cameras aimed at a vehicle close by")
+    parser.add_argument("--start", type=Path, help="exported network of the same kind to go on from")
+
+
 def prepare(arguments: argparse.Namespace) -> torch.device:
     """Seed torch, make the folder ``--out``, and choose the device, as the options say."""
     device = choose_device(arguments.device, "--device")

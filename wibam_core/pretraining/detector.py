@@ -28,6 +28,7 @@ from wibam_core.pretraining.common import (
     PoolPlan,
     ViewPool,
     add_options,
+    add_varied_options,
     batches,
     labelled,
     plain_camera,
@@ -136,9 +137,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description="Train the bundled 2D detector on simulated elevated views.")
     parser.add_argument("--out", type=Path, default=Path("build/pretrain_detector"), help="folder for weights and log")
     add_options(parser, steps=3000, images=1200)
-    parser.add_argument("--varied", type=int, default=6, metavar="N", help="of ten sites, so many have varied views")
-    parser.add_argument("--near", type=float, default=0.0, help="share of varied cameras aimed at a vehicle close by")
-    parser.add_argument("--start", type=Path, help="exported detector to go on from")
+    add_varied_options(parser, varied=6)
     arguments = parser.parse_args()
     device = prepare(arguments)
     validation = render(VALIDATION_SEED, "elevated", 80, (WIDTH_PX, HEIGHT_PX))

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import argparse
 from collections.abc import Iterable, Iterator
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 from pathlib import Path
 from typing import Any
 
@@ -29,23 +29,27 @@ from wibam_core.pretraining.common import (
     VIEWS_PER_SITE,
     PoolPlan,
     add_options,
+    add_varied_options,
     ahead,
     is_taught,
     prepare,
     pretrain_as_asked,
-    render,
     share_of_processes,
 )
+from wibam_core.pretraining.exported import load_exported
 from wibam_core.synthetic.sampling import RenderedView
 from wibam_core.training.augment import compress, jitter_colour
 from wibam_core.training.device import Precision
+from wibam_core.training.electronics import degraded
 from wibam_core.training.views import FloatArray
 
-#: Sizes of the recordings of one site after the other, in turn.
+#: Sizes of the recordings of one site after the other, in turn, but for varied views.
 SIZES_PX = ((640, 360), (960, 540), (1280, 720))
 TRAINING_SEED = 220_000
 VALIDATION_SEED = 310_000
 VALIDATION_VIEWS = 120
+#: Share of crops that another camera, another hour and another recorder have spoilt, the background with the image.
+_DEGRADED = 0.5
 
 #: A patch is this many times as wide and as high as the true box, so that crops around wrong boxes lie within it.
 _PATCH = 2.4
@@ -85,14 +89,22 @@ class Crops:
         return Crops(*(getattr(self, field.name).to(device) for field in fields(self)))
 
 
-def patches(seed: int, count: int) -> list[Patch]:
-    """The vehicles of ``count`` rendered views."""
+def patches(plan: PoolPlan, first: int, count: int) -> list[Patch]:
+    """The vehicles of ``count`` views of a plan, of which ``first`` were rendered before."""
     found: list[Patch] = []
-    for first in range(0, count, VIEWS_PER_SITE):
-        size_px = SIZES_PX[first // VIEWS_PER_SITE % len(SIZES_PX)]
-        for view in render(seed + first, "elevated", min(VIEWS_PER_SITE, count - first), size_px):
+    for done in range(0, count, VIEWS_PER_SITE):
+        of_site = replace(plan, size_px=SIZES_PX[done // VIEWS_PER_SITE % len(SIZES_PX)])
+        for view in of_site.views(first + done, min(VIEWS_PER_SITE, count - done)):
             found += [_patch(view, row) for row in np.flatnonzero(is_taught(view)).tolist()]
     return found
+
+
+def validation_patches(varied: bool) -> list[Patch]:
+    """The vehicles that trainings are measured on, of usual or of varied views."""
+    plan = PoolPlan(
+        VALIDATION_SEED, "elevated", VALIDATION_VIEWS, VALIDATION_VIEWS, 1, SIZES_PX[0], 10 if varied else 0
+    )
+    return patches(plan, 0, VALIDATION_VIEWS)
 
 
 def _patch(view: RenderedView, row: int) -> Patch:
@@ -126,10 +138,16 @@ def sample(patch: Patch, rng: np.random.Generator) -> tuple[NDArray[np.float32],
     shares of the crop."""
     height, width = patch.pixels.shape[:2]
     image, still, known = np.split(patch.pixels, [3, 6], axis=2)
-    both = jitter_colour(np.concatenate([image, still]), rng)
-    image, still, known = both[:height].copy(), both[height:].copy(), known.copy()
-    if rng.random() < 0.3:
-        image = compress(image, rng)
+    known = known.copy()
+    if rng.random() < _DEGRADED:
+        way = int(rng.integers(2**32))
+        image = degraded(image, np.random.default_rng(way))
+        still = degraded(still, np.random.default_rng(way), noise=False)
+    else:
+        both = jitter_colour(np.concatenate([image, still]), rng)
+        image, still = both[:height].copy(), both[height:].copy()
+        if rng.random() < 0.3:
+            image = compress(image, rng)
     if rng.random() < 0.5:  # the light has changed since
         table = np.clip(np.arange(256)[:, None] * np.exp(rng.normal(0, 0.04, 3)) + rng.normal(0, 2.0), 0, 255)
         still = np.asarray(cv2.LUT(still, table.astype(np.uint8)[:, None, :]), np.uint8)
@@ -168,7 +186,7 @@ class CropBatches(IterableDataset[Crops]):
         for step in steps:
             due = plan.due(step)
             if rendered < due:
-                pool += patches(plan.seed + rendered, due - rendered)
+                pool += patches(plan, rendered, due - rendered)
                 rendered = due
             if step < self._first:
                 continue
@@ -240,21 +258,28 @@ def main() -> None:
     parser = argparse.ArgumentParser(description="Train the bundled edge refiner on simulated elevated views.")
     parser.add_argument("--out", type=Path, default=Path("build/edge_refiner"), help="folder for weights and log")
     add_options(parser, steps=5000, images=4000, batch=64)
+    add_varied_options(parser, varied=6)
     arguments = parser.parse_args()
     device = prepare(arguments)
-    validation = patches(VALIDATION_SEED, VALIDATION_VIEWS)
+    validation = {"usual": validation_patches(False), "varied": validation_patches(True)}
     plan = PoolPlan.within(  # but for the size: `patches` lets sites take turns
         arguments.steps, TRAINING_SEED + arguments.seed, "elevated", arguments.images, arguments.shard, SIZES_PX[0]
     )
+    plan = replace(plan, varied_of_ten=arguments.varied, near=arguments.near)
+    network = EdgeRefinerNetwork()
+    if arguments.start:
+        rng = np.random.default_rng(arguments.seed)
+        usual = patches(replace(plan, seed=TRAINING_SEED - VIEWS_PER_SITE, varied_of_ten=0), 0, VIEWS_PER_SITE)
+        load_exported(arguments.start, network, torch.from_numpy(np.stack([sample(patch, rng)[0] for patch in usual])))
 
     def checkpoint(averaged: EdgeRefinerNetwork, step: int) -> dict[str, Any]:
         export_edge_refiner(averaged, arguments.out / "edge_refiner.onnx", CROP_PX)
-        return measure(averaged, validation)
+        return {name: measure(averaged, found) for name, found in validation.items()}
 
     def data(first: int) -> Iterable[Crops]:
         return ahead(CropBatches(plan, arguments.steps, arguments.batch, arguments.seed, first), arguments.workers)
 
-    pretrain_as_asked(arguments, EdgeRefinerNetwork(), data, losses, checkpoint, device)
+    pretrain_as_asked(arguments, network, data, losses, checkpoint, device)
 
 
 if __name__ == "__main__":

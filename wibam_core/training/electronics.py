@@ -10,15 +10,17 @@ Image = NDArray[np.uint8]
 Pixels = NDArray[np.float32]
 
 
-def degraded(image: Image, rng: np.random.Generator) -> Image:
+def degraded(image: Image, rng: np.random.Generator, noise: bool = True) -> Image:
     """The picture (H, W, 3) of another camera, at another hour: BGR uint8, the same size, nothing moved.
 
     Veil and uneven light, exposure, colours, resolution, blur, noise, sharpening and compression, each now and then.
+    Without ``noise`` all else is as it would be with it: what is left of a still background after many frames.
     """
     pixels = _lit(image.astype(np.float32), rng)
     pixels = _exposed(pixels, rng)
     pixels = _blurred(pixels, rng)
-    pixels = _noisy(pixels, rng)
+    with_noise = _noisy(pixels, rng)
+    pixels = with_noise if noise else pixels
     if rng.random() < 0.35:  # halos
         soft = cv2.GaussianBlur(pixels, (0, 0), float(rng.uniform(0.6, 1.8)))
         pixels = pixels + np.float32(rng.uniform(0.3, 1.8)) * (pixels - soft)

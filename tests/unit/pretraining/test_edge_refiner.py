@@ -29,7 +29,7 @@ def _one_thread() -> None:
 
 
 def test_patches_show_the_vehicles_and_know_both_boxes() -> None:
-    found = patches(SEED, 20)
+    found = patches(PLAN, 0, 20)
     views = list(sample_views(SEED, "elevated", 20, (640, 360)))
     taught = [(view, row) for view in views for row in np.flatnonzero(is_taught(view))]
     assert len(found) == len(taught) > 40
@@ -54,13 +54,32 @@ def test_a_crop_keeps_the_edges_where_they_are_in_the_image() -> None:
     for number in range(20):
         crop, edges, whole = sample(patch, np.random.default_rng(number))
         assert crop.shape == (7, CROP_PX, CROP_PX)
-        bright = cv2.GaussianBlur(crop[:3].mean(axis=0), (3, 3), 0) > 0.5 * crop[:3].max()
+        light = cv2.GaussianBlur(crop[:3].mean(axis=0), (3, 3), 0)
+        bright = light > (light.min() + light.max()) / 2
         columns, rows = (np.flatnonzero(bright.any(axis=axis)) for axis in (0, 1))
         found = np.array([columns[0], rows[0], columns[-1] + 1, rows[-1] + 1]) / CROP_PX
         np.testing.assert_allclose(np.clip(edges, 0, 1), found, atol=0.03)
         longer = whole - edges
         assert np.isclose(np.abs(longer).max(), 12 / 60 * (edges[2] - edges[0]))
         assert longer[2] > 0 or longer[0] < 0, "mirrored with the image"
+
+
+def test_what_spoils_an_image_spoils_its_background_alike_but_for_the_noise(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Where nothing stands, a spoilt image is its spoilt background; the noise of one frame is in the image alone."""
+    monkeypatch.setattr(edge_refiner, "_DEGRADED", 1.0)
+    pixels = np.full((120, 160, 7), 255, np.uint8)
+    pixels[..., :6] = np.tile(cv2.resize(np.arange(12, dtype=np.uint8).reshape(3, 4) * 20, (160, 120))[..., None], 6)
+    box = np.array([49.5, 39.5, 109.5, 79.5])
+    rough = []
+    for number in range(40):
+        crop, *_ = sample(Patch(pixels, box, box, 0), np.random.default_rng(number))
+        known = crop[6] > 0.5
+        if known.mean() > 0.9:
+            assert abs(np.median((crop[:3] - crop[3:6])[:, known])) < 0.1
+            image, still = (np.abs(np.diff(part, axis=2)).mean() for part in (crop[:3], crop[3:6]))
+            rough.append(image / still)
+    assert len(rough) > 20
+    assert max(rough) > 1.5 and min(rough) > 0.8
 
 
 def test_a_seed_gives_the_same_batches() -> None:
@@ -81,8 +100,10 @@ def test_the_script_trains(device: str, tmp_path: Path, monkeypatch: pytest.Monk
     edge_refiner.main()
     training, validation = (json.loads(line) for line in (tmp_path / "log.jsonl").read_text().splitlines())
     assert (training["step"], validation["step"]) == (50, 60)
-    assert np.isfinite(list(training.values())).all() and np.isfinite(list(validation.values())).all()
-    assert 0 < validation["hidden_share"] < 0.5
+    assert np.isfinite(list(training.values())).all()
+    for views in ("usual", "varied"):
+        assert np.isfinite(list(validation[views].values())).all()
+        assert 0 < validation[views]["hidden_share"] < 0.5
     torch.manual_seed(0)
     export_edge_refiner(EdgeRefinerNetwork(), tmp_path / "start", CROP_PX)
     assert (tmp_path / "start").read_bytes() != (tmp_path / "edge_refiner.onnx").read_bytes()

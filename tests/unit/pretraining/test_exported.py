@@ -1,10 +1,11 @@
-"""Going on from an exported detector, and from an interrupted run."""
+"""Going on from an exported network, and from an interrupted run."""
 
 from __future__ import annotations
 
 from collections.abc import Iterable
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import TypeVar
 
 import pytest
 import torch
@@ -12,11 +13,13 @@ from torch import Tensor, nn
 
 from wibam_core.errors import InvalidWeights
 from wibam_core.models.detector2d import DETECTOR_SHAPE, Detector2D
-from wibam_core.models.export import export_detector2d
+from wibam_core.models.edge_refiner import EdgeRefinerNetwork
+from wibam_core.models.export import export_detector2d, export_edge_refiner
 from wibam_core.pretraining.common import Schedule, pretrain
 from wibam_core.pretraining.exported import load_exported
 
 CPU = torch.device("cpu")
+Network = TypeVar("Network", bound=nn.Module)
 
 
 @pytest.fixture(autouse=True)
@@ -29,22 +32,21 @@ def images() -> Tensor:
     return torch.rand(4, 3, 96, 128, generator=torch.Generator().manual_seed(1))
 
 
-def trained(images: Tensor) -> Detector2D:
-    """A detector whose normalisation is not the one it begins with."""
-    torch.manual_seed(0)
-    network = Detector2D()
+def settled(network: Network, inputs: Tensor) -> Network:
+    """The network with a normalisation that is not the one it begins with, and that of these inputs."""
     for module in network.modules():
         if isinstance(module, nn.BatchNorm2d):
             nn.init.uniform_(module.weight, 0.5, 1.5)
             nn.init.normal_(module.bias, 0.0, 0.3)
     network.train()
     for _ in range(60):
-        network(images)
+        network(inputs)
     return network.eval()
 
 
 def test_an_exported_detector_computes_the_same_when_it_is_loaded_again(tmp_path: Path, images: Tensor) -> None:
-    network = trained(images)
+    torch.manual_seed(0)
+    network = settled(Detector2D(), images)
     export_detector2d(network, tmp_path / "detector.onnx")
     torch.manual_seed(9)
     again = Detector2D()
@@ -69,8 +71,21 @@ def test_blocks_that_the_file_lacks_change_nothing_at_first(tmp_path: Path, imag
     with torch.no_grad():
         assert torch.allclose(larger.eval()(images)[0], small.eval()(images)[0], atol=2e-3)
     export_detector2d(larger, tmp_path / "larger.onnx")
-    with pytest.raises(InvalidWeights, match="convolution"):
+    with pytest.raises(InvalidWeights, match="shape"):
         load_exported(tmp_path / "larger.onnx", Detector2D(shape), images)
+
+
+def test_an_exported_edge_refiner_computes_the_same_when_it_is_loaded_again(tmp_path: Path) -> None:
+    crops = torch.rand(16, 7, 32, 32, generator=torch.Generator().manual_seed(2))
+    torch.manual_seed(0)
+    network = settled(EdgeRefinerNetwork(), crops)
+    export_edge_refiner(network, tmp_path / "refiner.onnx", 32)
+    torch.manual_seed(9)
+    again = EdgeRefinerNetwork()
+    load_exported(tmp_path / "refiner.onnx", again, crops)
+    with torch.no_grad():
+        for one, other in zip(again.eval()(crops), network(crops), strict=True):
+            assert torch.allclose(one, other, atol=1e-2)
 
 
 @dataclass(frozen=True)
