@@ -26,6 +26,8 @@ calibration_router = APIRouter(prefix="/v1/calibration", tags=["sites"], respons
 #: Characters of a calibration file over HTTP; larger ones, such as COLMAP's images of a whole survey, are for `wibam
 #: calibration`.
 _LONGEST_TEXT = 1 << 17
+#: A file with an id never changes.
+_KEPT = "private, max-age=86400, immutable"
 Seconds = Annotated[float, Query(ge=0, le=1e7, allow_inf_nan=False, description="on the recording's own clock")]
 
 
@@ -83,8 +85,9 @@ class ReadCalibrationOut(BaseModel):
 
 
 @router.get("/header", summary="Length, rate and size of a recording", responses=documented(422, 503))
-def header(site_id: str, file_id: str, services: ServicesDep) -> VideoHeaderOut:
+def header(site_id: str, file_id: str, services: ServicesDep, response: Response) -> VideoHeaderOut:
     """From the header alone."""
+    response.headers["Cache-Control"] = _KEPT
     answer, _ = services.glimpses.look(GlimpseRequest(look="header", path=_recording(services, site_id, file_id)))
     return VideoHeaderOut.model_validate(answer)
 
@@ -109,7 +112,7 @@ def frame(
     answer, jpeg = services.glimpses.look(request)
     headers = {
         "X-Wibam-Time": str(answer["time_ns"]),
-        "Cache-Control": "private, max-age=86400, immutable",  # a file with this id never changes
+        "Cache-Control": _KEPT,
         "X-Content-Type-Options": "nosniff",
     }
     return Response(jpeg, media_type="image/jpeg", headers=headers)

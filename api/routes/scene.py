@@ -177,7 +177,8 @@ def frame(
     width_px: Annotated[int | None, Query(ge=16, le=16384, description="no wider than this; never enlarged")] = None,
     if_none_match: Annotated[str | None, Header()] = None,
 ) -> Response:
-    """As JPEG. The header `X-Wibam-Time` says the instant in ns on the reference clock."""
+    """As JPEG. The header `X-Wibam-Time` says the instant in ns on the reference clock. Who keeps a frame asks with its
+    `ETag` whether it is still the one: a restart of the job may make others."""
     job = services.jobs.job(job_id)
     store = services.results.frames(job)
     if camera not in store.camera_ids:
@@ -190,7 +191,7 @@ def frame(
     nearest = _nearest(times, time_ns)
     stage = job.stage(catalogue.FRAMES.stage)
     etag = f'"{stage.hash[:16] if stage else ""}-{camera}-{nearest}-{width_px or 0}"'
-    headers = {"ETag": etag, "Cache-Control": "private, max-age=86400", "X-Wibam-Time": str(nearest)}
+    headers = {"ETag": etag, "Cache-Control": "private, no-cache", "X-Wibam-Time": str(nearest)}
     if if_none_match == etag:
         return Response(status_code=304, headers=headers)
     jpeg = _jpeg(store, camera, nearest, width_px)

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from pathlib import Path
 from typing import Annotated
 
-from fastapi import APIRouter, Query
+from fastapi import APIRouter, Query, Response
 
 from api.parameters import ONLY_KNOWN_PARAMETERS
 from api.problems import documented
-from api.services import ServicesDep
+from api.services import Services, ServicesDep
 from api.track_parameters import AskedTracks
 from wibam_core.adapters import track_views
 from wibam_core.adapters.track_query import parse_cursor
@@ -25,9 +26,10 @@ router = APIRouter(
 
 
 @router.get("/summary", summary="How many tracks there are, when and where")
-def summary(job_id: str, services: ServicesDep, asked: AskedTracks) -> TracksSummary:
-    """Of the states that `GET /v1/jobs/{job_id}/tracks` lists for the same question."""
-    return track_views.summary(services.results.file(services.jobs.job(job_id), catalogue.TRACKS).path, asked)
+def summary(job_id: str, services: ServicesDep, asked: AskedTracks, response: Response) -> TracksSummary:
+    """Of the states that `GET /v1/jobs/{job_id}/tracks` lists for the same question. The header `ETag` has the SHA-256
+    of the tracks: a restart may make others."""
+    return track_views.summary(_tracks(services, job_id, response), asked)
 
 
 @router.get("/compact", summary="7DoF tracks in little space")
@@ -35,16 +37,26 @@ def compact(
     job_id: str,
     services: ServicesDep,
     asked: AskedTracks,
+    response: Response,
     limit: Annotated[int, Query(ge=1, le=100_000, description="of states")] = 20_000,
     cursor: Annotated[str | None, Query(description="`next` of the page before")] = None,
 ) -> CompactTracks:
-    """The same states by track and rounded, for drawing. Give a start and an end to see a stretch of a long job."""
-    path = services.results.file(services.jobs.job(job_id), catalogue.TRACKS).path
+    """The same states by track and rounded, for drawing. Give a start and an end to see a stretch of a long job.
+    The header `ETag` has the SHA-256 of the tracks."""
     after = parse_cursor(cursor) if cursor is not None else None
+    path = _tracks(services, job_id, response)
     return track_views.compact(path, replace(asked, after=after, limit=limit))
 
 
 @router.get("/paths", summary="Where road users went")
-def paths(job_id: str, services: ServicesDep, asked: AskedTracks) -> TrackPaths:
-    """Lines from above through the same states, thinned so that those of a long job can be drawn together."""
-    return track_views.paths(services.results.file(services.jobs.job(job_id), catalogue.TRACKS).path, asked)
+def paths(job_id: str, services: ServicesDep, asked: AskedTracks, response: Response) -> TrackPaths:
+    """Lines from above through the same states, thinned so that those of a long job can be drawn together. The header
+    `ETag` has the SHA-256 of the tracks."""
+    return track_views.paths(_tracks(services, job_id, response), asked)
+
+
+def _tracks(services: Services, job_id: str, response: Response) -> Path:
+    """The job's tracks; the answer is marked as theirs."""
+    file = services.results.file(services.jobs.job(job_id), catalogue.TRACKS)
+    response.headers["ETag"] = f'"{file.sha256}"'
+    return file.path

@@ -289,3 +289,27 @@ def test_a_job_that_has_fitted_nothing_says_when_it_can_be_labelled(signed_in: V
     later = api.http.post(f"/v1/sites/{site}/jobs", json={}).json()["id"]
     page = signed_in.open(f"/jobs/{later}/labelling")
     page.get_by_text("There is nothing to label yet.").wait_for()
+
+
+@pytest.mark.parametrize("asked", ["abc", "1e99", "", "-5", "1.5e99"])
+def test_an_address_without_a_time_opens_an_instant(signed_in: Visit, job: str, asked: str) -> None:
+    page = signed_in.open(f"/jobs/{job}/labelling?time_ns={asked}")
+    page.get_by_text("not labelled yet").wait_for()
+    assert int(page.locator("#instant").input_value()) in TIMES_NS
+
+
+def test_an_address_with_a_time_between_opens_the_nearest_instant(signed_in: Visit, job: str) -> None:
+    page = signed_in.open(f"/jobs/{job}/labelling?time_ns={TIMES_NS[1] + 7_000_000}")
+    page.get_by_text("not labelled yet").wait_for()
+    assert page.locator("#instant").input_value() == str(TIMES_NS[1])
+
+
+def test_an_instant_that_cannot_be_loaded_is_named_and_opened_again(labelling: Visit) -> None:
+    page = labelling.page
+    page.route("**/proposal", lambda route: route.abort())
+    page.locator("#instant").select_option(str(TIMES_NS[3]))
+    page.get_by_text("could not be loaded; open it again").wait_for()
+    page.unroute_all()
+    page.locator("#instant").select_option(str(TIMES_NS[0]))
+    page.get_by_text("not labelled yet").wait_for()
+    labelling.forgive("ERR_FAILED")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -11,7 +12,7 @@ import pytest
 from tests.browser.conftest import Visit, visit
 from tests.browser.test_every_page import BEYOND
 from tests.clips import clip_job
-from tests.finished import finished_job
+from tests.finished import finished_job, tracks
 from tests.service import LiveApi
 from wibam_core.road_users import RoadUserClass
 from wibam_core.scene import Track
@@ -100,6 +101,81 @@ class TestFilterIsTheApis:
         self.test_what_is_shown_is_what_the_address_answers(signed_in, api, job_with_a_gap, change)
         address = f"/v1/jobs/{job_with_a_gap}/tracks/summary?min_speed_mps={least_mps}"
         assert api.http.get(address).json()["states"] == states
+
+
+def test_who_is_in_an_area_is_what_the_service_counts(signed_in: Visit, api: LiveApi) -> None:
+    """States a few mm on both sides of an edge, which the places that are drawn, in whole cm, do not tell apart."""
+    [car, _] = tracks()
+    boxes = car.boxes.copy()
+    boxes[:, 0] = 10.0 + np.resize([-0.004, -0.001, 0.001, 0.004], 50)
+    job = finished_job(api, b"at an edge", tracked=[replace(car, boxes=boxes)])
+    polygon = [[5, -2], [10, -2], [10, 2], [5, 2]]
+    script = """async ([job, version, lastNs, polygon]) => {
+      const { TrackWindows } = await import("/static/js/trackwindows.js");
+      const { parameters, passes } = await import("/static/js/trackdata.js");
+      const filter = { classes: [], minSpeed: null, startNs: null, endNs: null, polygon };
+      const known = await new Promise((done, failed) => {
+        const arrived = () => { if (known.has(0) && known.has(lastNs)) done(known); };
+        const page = { version, frames: false, failed, changed: failed, arrived };
+        const known = new TrackWindows(job, 0, lastNs, page);
+        known.want(0, 0, lastNs);
+        known.within(parameters(filter).polygon); // while the states are on their way
+        known.want(0, 0, lastNs);
+      });
+      known.want(0, 0, lastNs);
+      const states = known.tracks.at.flat(), times = (found) => found.map((one) => one.time_ns);
+      const exact = states.filter((one) => passes(one, filter, known.inside(one)));
+      return [times(states.filter((one) => passes(one, filter))), times(exact)];
+    }"""
+    [file] = api.http.get(f"/v1/jobs/{job}/artifacts?artifact=tracks").json()
+    arguments = [job, file["sha256"], int(car.times_ns[-1]), polygon]
+    by_rounded_places, found = signed_in.page.evaluate(script, arguments)
+    assert found == car.times_ns[boxes[:, 0] < 10].tolist()
+    assert by_rounded_places != found
+
+
+def test_an_area_is_drawn_corner_by_corner(signed_in: Visit, api: LiveApi, job: str) -> None:
+    page = signed_in.open(f"/jobs/{job}/player?time_ns=1000000000")
+    page.get_by_text("100 of 100 states").wait_for()
+    assert page.locator("#present option").count() == 3
+    page.get_by_role("button", name="Draw an area").click()
+    place = page.locator("#plan").bounding_box()
+    assert place is not None
+    for x, y in ((0.02, 0.02), (0.98, 0.02), (0.98, 0.98)):  # the standing bus, or the car, or both
+        page.locator("#plan").click(position={"x": x * place["width"], "y": y * place["height"]})
+    page.get_by_role("button", name="Done").click()
+    address = page.locator("#query-url").inner_text()
+    assert address.count("%3B") == 2
+    answered = api.http.get(f"{address}&limit=1000").json()["states"]
+    page.get_by_text(f"{len(answered)} of 100 states").wait_for()
+    there = sum(state["time_ns"] == 1_000_000_000 for state in answered)
+    page.wait_for_function("count => document.querySelectorAll('#present option').length === count + 1", arg=there)
+    page.wait_for_function("() => document.getElementById('waiting').textContent === ''")
+    assert there < 2
+
+
+def test_an_area_has_no_more_corners_than_the_service_takes(signed_in: Visit, job: str) -> None:
+    page = signed_in.open(f"/jobs/{job}/player")
+    page.get_by_text("100 of 100 states").wait_for()
+    page.get_by_role("button", name="Draw an area").click()
+    page.locator("#plan").focus()
+    for _ in range(101):
+        page.keyboard.press("ArrowRight")
+        page.keyboard.press("Enter")
+    page.get_by_text("An area has at most 100 corners").wait_for()
+    assert page.locator("#query-url").inner_text().count("%3B") == 99
+
+
+def test_a_history_that_cannot_be_loaded_says_what_to_do(signed_in: Visit, job: str) -> None:
+    page = signed_in.open(f"/jobs/{job}/player")
+    page.route("**/tracks/summary?track_id=1", lambda route: route.abort())
+    page.get_by_label("Visible now").select_option("1")
+    page.get_by_text("The history of track 1 could not be loaded; choose it again.").wait_for()
+    page.unroute_all()
+    page.get_by_label("Visible now").select_option("2")
+    page.get_by_label("Visible now").select_option("1")
+    page.get_by_role("region", name="History of track 1").wait_for()
+    signed_in.forgive("ERR_FAILED")
 
 
 def test_the_history_of_a_road_user_has_seven_degrees_of_freedom_with_their_intervals(

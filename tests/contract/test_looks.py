@@ -26,7 +26,9 @@ def recording(api: LiveApi, tmp_path_factory: pytest.TempPathFactory) -> str:
 
 class TestFrames:
     def test_the_header_says_length_and_size(self, api: LiveApi, recording: str) -> None:
-        header = api.http.get(f"{recording}/header").json()
+        answer = api.http.get(f"{recording}/header")
+        header = answer.json()
+        assert "immutable" in answer.headers["cache-control"], "it is read in a process of its own, which takes a while"
         assert (header["width_px"], header["height_px"]) == (64, 48)
         assert header["duration_s"] == pytest.approx(2.0, abs=0.1)
 

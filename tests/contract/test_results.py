@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 import io
+from hashlib import sha256
 from pathlib import Path
 from urllib.parse import parse_qs, urlsplit
 
@@ -274,6 +275,12 @@ class TestTracksInLittleSpace:
             ("car", [0.0, 49.0], [0.0, 0.0]),
             ("bus", [20.0], [5.0]),
         ]
+
+    @pytest.mark.parametrize("view", ["summary", "compact", "paths"])
+    def test_an_answer_says_of_which_tracks_it_is(self, api: LiveApi, job: str, view: str) -> None:
+        file = api.http.get(f"/v1/jobs/{job}/artifacts/track/tracks.parquet").content
+        answer = api.http.get(f"/v1/jobs/{job}/tracks/{view}")
+        assert answer.headers["etag"] == f'"{sha256(file).hexdigest()}"'
 
     @pytest.mark.parametrize("view", ["summary", "compact", "paths"])
     def test_bad_questions_are_refused(self, api: LiveApi, job: str, view: str) -> None:

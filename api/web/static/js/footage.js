@@ -1,14 +1,18 @@
 // A camera's recording on one scale of time, be it one file or several chapters.
 import { get } from "./api.js";
 
+/** Whether a camera's size follows its recording's: no point and no region is set in its pixels yet. @param {any} camera as the site describes it */
+export function follows(camera) {
+  return camera.calibration.correspondences?.length === 0 && !camera.signals.length;
+}
+
 /**
- * A site with a camera as large as its recording's pictures; null where it is, or where points or regions are set in its pixels.
+ * A site with a camera as large as its recording's pictures; null where it is, or where its size does not follow them.
  * @param {any} site its description @param {string} id of the camera @param {any} header of the recording
  */
 export function resized(site, id, header) {
   const camera = site.cameras.find((/** @type {any} */ one) => one.id === id), { width_px, height_px } = header;
-  if (!camera) return null; // it was taken out of the site
-  if (camera.calibration.correspondences?.length !== 0 || camera.signals.length) return null;
+  if (!camera || !follows(camera)) return null; // it may have been taken out of the site
   if (camera.width_px === width_px && camera.height_px === height_px) return null;
   return { ...site, cameras: site.cameras.map((/** @type {any} */ one) => (one === camera ? { ...one, width_px, height_px } : one)) };
 }

@@ -107,13 +107,16 @@ export class Tracks {
   }
 }
 
-/** Whether a state is to be shown: what the API answers to `parameters`. @param {State} state @param {Filter} filter */
-export function passes(state, filter) {
+/**
+ * Whether a state is to be shown: what the API answers to `parameters`.
+ * @param {State} state @param {Filter} filter @param {boolean} [isInside] whether the service has found it in the polygon; by its rounded place as long as that is not known
+ */
+export function passes(state, filter, isInside) {
   if (filter.classes.length && !filter.classes.includes(state.class)) return false;
   if (filter.minSpeed !== null && state.speed_mps < filter.minSpeed) return false;
   if (filter.startNs !== null && state.time_ns < filter.startNs) return false;
   if (filter.endNs !== null && state.time_ns >= filter.endNs) return false;
-  return filter.polygon.length < 3 || inside(filter.polygon, state.x_m, state.y_m);
+  return filter.polygon.length < 3 || (isInside ?? inside(filter.polygon, state.x_m, state.y_m));
 }
 
 /** Even-odd rule, as the service counts. @param {number[][]} polygon @param {number} x @param {number} y */

@@ -4,7 +4,7 @@ import { attempt, byId, fill, h, message, say } from "../dom.js";
 import { clock, number } from "../format.js";
 import { drawGround, drawOnPlan, drawPoints, label } from "../calibrationdraw.js";
 import { CalibrationPanel } from "../calibrationpanel.js";
-import { Footage, resized } from "../footage.js";
+import { follows, Footage, resized } from "../footage.js";
 import { FrameView } from "../frameview.js";
 import { MapPicture } from "../mappicture.js";
 import { groundInView, Plan } from "../plan.js";
@@ -148,18 +148,20 @@ function keys(event) {
 }
 
 async function start() {
-  record = await get(`/v1/sites/${siteId}`);
+  const [site, files] = await Promise.all([get(`/v1/sites/${siteId}`), getAll(`/v1/sites/${siteId}/recordings`)]);
+  record = site;
   const described = () => record.site.cameras.find((/** @type {any} */ one) => one.id === cameraId);
   byId("back").textContent = record.name;
   byId("back").href = `/sites/${siteId}`;
   byId("name").textContent = `Camera ${cameraId}`;
   if (!described()) { fill(byId("solution"), message("bad", `the site has no camera ${cameraId} any more`, "Go back to the site.")); return; }
   attempt(() => map.show(record.map));
-  const files = await getAll(`/v1/sites/${siteId}/recordings`);
   const own = files.filter((/** @type {any} */ one) => one.purpose === "recording" && one.camera === cameraId).sort((a, b) => a.filename.localeCompare(b.filename));
   recording = own.length ? new Footage(own.map((/** @type {any} */ one) => `/v1/sites/${siteId}/recordings/${one.id}`)) : null;
   const help = [...byId("frame-note").childNodes];
-  if (recording) { fill(byId("frame-note"), "Reading the recording …"); await attempt(readSize); }
+  const read = attempt(async () => recording?.load()); // which takes longer than all else
+  if (recording) fill(byId("frame-note"), "Reading the recording …");
+  if (follows(described())) { await read; await attempt(followSize); }
   const description = described();
   view.resize(description.width_px, description.height_px);
   const now = () => Number(byId("time").value);
@@ -184,28 +186,28 @@ async function start() {
   for (const choice of document.querySelectorAll("input[name=mode]")) choice.addEventListener("change", listen);
   plan.onclick = (world) => { if (!map.click(world) && panel) panel.place(world); };
   byId("frame").addEventListener("keydown", keys, { capture: true }); // before the view's own: a chosen point is moved, else the cross
-  byId("time").addEventListener("input", () => attempt(showFrame));
-  for (const [id, by] of [["earlier", -1], ["later", 1]]) byId(id).addEventListener("click", () => { byId("time").value = now() + Number(by); attempt(showFrame); });
   byId("calibration-files").addEventListener("change", () => attempt(readFiles));
   byId("save").addEventListener("click", () => attempt(save));
   window.addEventListener("beforeunload", (event) => { if (dirty) event.preventDefault(); });
   if (!recording) { fill(byId("frame-note"), message("plain", "this camera has no recording yet", "Upload one on the site's page; points can be typed meanwhile.")); return; }
+  await read;
   const { header } = recording;
   if (!header) { fill(byId("frame-note"), help); return; } // which was said
   if (recording.length) byId("time").max = recording.length;
   if (header.width_px !== description.width_px || header.height_px !== description.height_px) {
     fill(byId("frame-note"), message("caution", `the recording has ${header.width_px} × ${header.height_px} px, the site says ${description.width_px} × ${description.height_px}`, "Points and regions are in the site's pixels; correct the size in the site's JSON, or upload the recording that it was made for."));
   }
+  byId("time").addEventListener("input", () => attempt(showFrame));
+  for (const [id, by] of [["earlier", -1], ["later", 1]]) byId(id).addEventListener("click", () => { byId("time").value = now() + Number(by); attempt(showFrame); });
   await showFrame();
   if (byId("frame-note").textContent === "Reading the recording …") fill(byId("frame-note"), help);
 }
 
-/** A click is of a pixel of the recording: how large its pictures are must be known before, and for a new camera it says so itself. */
-async function readSize() {
-  await recording?.load();
-  if (!resized(record.site, cameraId, recording?.header)) return;
+/** A click is of a pixel of the recording: a new camera takes the size of its pictures before anything is clicked in them. */
+async function followSize() {
+  if (!recording?.header || !resized(record.site, cameraId, recording.header)) return;
   record = await get(`/v1/sites/${siteId}`); // another page may have changed the site while the recording was read
-  const sized = resized(record.site, cameraId, recording?.header);
+  const sized = resized(record.site, cameraId, recording.header);
   if (sized) record = await send("PUT", `/v1/sites/${siteId}`, sized);
 }
 

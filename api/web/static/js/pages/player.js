@@ -1,5 +1,5 @@
 // The player: the plan and all cameras' frames in step, with what happened drawn in.
-import { get, query, wholeNumber } from "../api.js";
+import { get, Problem, query, Results, wholeNumber } from "../api.js";
 import { attempt, byId, complain, fill, h, isTaken, message, say } from "../dom.js";
 import { clock, number, percent, words } from "../format.js";
 import { ClipPanel } from "../clippanel.js";
@@ -13,20 +13,24 @@ import { historyOf } from "../trackhistory.js";
 import { boxOf, inside, parameters, passes } from "../trackdata.js";
 import { TrackWindows } from "../trackwindows.js";
 
-const FRAME_PX = 480, AHEAD = 12, NEAR_NS = 120_000_000, KEPT_MEASURES = 600;
+const FRAME_PX = 480, AHEAD = 12, KEPT_MEASURES = 600;
 /** How far tracks are fetched ahead, beside what trails need; how many states a history has; how long a filter is typed, ms. */
 const NEXT_NS = 1e9, AHEAD_NS = 4e9, HISTORY = 600, TYPED_MS = 300;
 /** For how long the slider must rest before tracks are fetched, ms. */
 const RESTS_MS = 100;
+/** What the service takes as an area; when a job without tracks is looked at again, ms. */
+const MOST_CORNERS = 100, AGAIN_MS = 5000;
 /** @type {import("../trackdata.js").Filter} */
 const filter = { classes: [], minSpeed: null, startNs: null, endNs: null, polygon: [] };
 /** All that was tracked, in short, and the stretch of it that is here. */
-let whole = /** @type {any} */ ({ first_ns: 0, last_ns: 0, period_ns: null }), known = new TrackWindows(jobId, 0, 0, { frames: false, arrived: () => {}, failed: complain }), cameras = /** @type {Camera[]} */ ([]), conflicts = /** @type {any[]} */ ([]), classes = /** @type {Map<string, string>} */ (new Map());
+let whole = /** @type {any} */ ({ first_ns: 0, last_ns: 0, period_ns: null }), known = new TrackWindows(jobId, 0, 0, { version: "", frames: false, arrived: () => {}, failed: complain, changed: () => {} }), cameras = /** @type {Camera[]} */ ([]), conflicts = /** @type {any[]} */ ([]), classes = /** @type {Map<string, string>} */ (new Map());
 let now = 0, drawn = 0, playing = false, lastTick = 0, chosen = /** @type {Set<number>} */ (new Set()), conflict = /** @type {any} */ (null);
 const canvases = /** @type {Map<string, HTMLCanvasElement>} */ (new Map());
-const cache = new FrameCache(jobId, FRAME_PX, () => redraw());
+let cache = new FrameCache(jobId, FRAME_PX, redraw);
 const plan = new Plan(byId("plan"), (view, context) => drawRoad(view, context, shown()));
 let states = /** @type {import("../trackdata.js").State[]} */ ([]), pending = false, counting = new AbortController(), typed = 0, moving = 0;
+/** Of the tracks that are shown, the SHA-256; of none, nothing. */
+let version = "", looking = false, isListening = false;
 
 /** @returns {import("../playerdraw.js").Shown} */
 function shown() {
@@ -51,28 +55,9 @@ function moment() {
   return known.tracks.times[index()] ?? now;
 }
 
-/** The stored instant nearest to a time, of which a camera has a frame. @param {string} camera @param {number} timeNs @returns {number|null} */
-function frameAt(camera, timeNs) {
-  const times = known.exposures[camera], { instants } = known;
-  if (!times) return null;
-  let low = 0, high = instants.length;
-  while (low < high) { const middle = (low + high) >> 1; if (instants[middle] < timeNs) low = middle + 1; else high = middle; }
-  let best = /** @type {number|null} */ (null);
-  for (const at of [low - 1, low]) {
-    if (at < 0 || at >= instants.length || times[at] === null) continue;
-    if (Math.abs(instants[at] - timeNs) <= NEAR_NS && (best === null || Math.abs(instants[at] - timeNs) < Math.abs(best - timeNs))) best = instants[at];
-  }
-  return best;
-}
-
-/** When a camera exposed its frame of an instant. @param {string} camera @param {number} instant @returns {number} */
-function exposedAt(camera, instant) {
-  return known.exposures[camera]?.[known.instants.indexOf(instant)] ?? instant;
-}
-
 /** What is shown now, where it was when a camera exposed the frame beside it. @param {string} camera @param {number|null} instant of that frame @returns {import("../trackdata.js").State[]} */
 function statesIn(camera, instant) {
-  return instant === null ? states : states.map((state) => known.tracks.moved(state, exposedAt(camera, instant)));
+  return instant === null ? states : states.map((state) => known.tracks.moved(state, known.exposedAt(camera, instant)));
 }
 
 /** Ask for what is shown and what comes next. */
@@ -82,7 +67,7 @@ function fetchAhead() {
   for (let step = 0; step <= (playing ? AHEAD : 2); step += 1) {
     const time = moment() + step * period();
     for (const camera of cameras) {
-      const at = frameAt(camera.id, time);
+      const at = known.frameAt(camera.id, time);
       if (at !== null) wanted.push([camera.id, at]);
     }
   }
@@ -104,7 +89,7 @@ function drawNow() {
   plan.drawNow();
   const picture = shown();
   for (const camera of cameras) {
-    const at = frameAt(camera.id, time), canvas = canvases.get(camera.id);
+    const at = known.frameAt(camera.id, time), canvas = canvases.get(camera.id);
     const image = at !== null ? cache.get(camera.id, at) : known.has(time) ? null : undefined; // which frames there are may not be known yet
     if (canvas) drawFrame(canvas, camera, image, { ...picture, states: statesIn(camera.id, at) }, byId("boxes").checked);
   }
@@ -114,7 +99,7 @@ function drawNow() {
 
 /** Who is shown. */
 function present() {
-  return (known.tracks.at[index()] ?? []).filter((state) => passes(state, filter));
+  return (known.tracks.at[index()] ?? []).filter((state) => passes(state, filter, known.inside(state)));
 }
 
 /** Go to a time. @param {number} timeNs */
@@ -246,13 +231,19 @@ function filtered() {
   filter.minSpeed = speed === null ? null : speed / 100;
   filter.startNs = value("from", 1e9);
   filter.endNs = value("to", 1e9);
+  known.within(parameters(filter).polygon);
   showQuery();
   show(now);
 }
 
 /** @param {number[]} world */
 function clickPlan(world) {
-  if (byId("draw").getAttribute("aria-pressed") === "true") { filter.polygon = [...filter.polygon, world.map((value) => Number(value.toFixed(2)))]; filtered(); return; }
+  if (byId("draw").getAttribute("aria-pressed") === "true") {
+    if (filter.polygon.length >= MOST_CORNERS) { complain(new Problem(`an area has at most ${MOST_CORNERS} corners`, { hint: "Press “Done”, or draw it anew with fewer." })); return; }
+    filter.polygon = [...filter.polygon, world.map((value) => Number(value.toFixed(2)))];
+    filtered();
+    return;
+  }
   const hit = states.find((state) => inside(footprint(boxOf(state)), world[0], world[1])) ?? states.find((state) => Math.hypot(state.x_m - world[0], state.y_m - world[1]) < 10 / plan.pxPerM);
   attempt(() => choose(hit?.track_id ?? null));
 }
@@ -261,7 +252,7 @@ function clickPlan(world) {
 function clickView(camera, event) {
   const canvas = /** @type {HTMLCanvasElement} */ (event.currentTarget), box = canvas.getBoundingClientRect();
   const u = ((event.clientX - box.left) / box.width) * camera.width, v = ((event.clientY - box.top) / box.height) * camera.height;
-  const hits = statesIn(camera.id, frameAt(camera.id, moment())).map((state) => ({ state, around: camera.boxAround(boxOf(state)) })).filter(({ around }) => around && u >= around[0] && u <= around[2] && v >= around[1] && v <= around[3]);
+  const hits = statesIn(camera.id, known.frameAt(camera.id, moment())).map((state) => ({ state, around: camera.boxAround(boxOf(state)) })).filter(({ around }) => around && u >= around[0] && u <= around[2] && v >= around[1] && v <= around[3]);
   hits.sort((a, b) => Math.hypot(a.state.x_m - camera.centre[0], a.state.y_m - camera.centre[1]) - Math.hypot(b.state.x_m - camera.centre[0], b.state.y_m - camera.centre[1]));
   attempt(() => choose(hits[0]?.state.track_id ?? null));
 }
@@ -308,40 +299,88 @@ function showMarks() {
   }));
 }
 
-async function start() {
-  const [, made] = await openJob(), scene = made.has("tracks") ? await made.scene() : null;
-  if (!scene) { fill(byId("nothing"), message("plain", "there are no tracks yet", "They can be played once the stage “Track” has finished.")); return; }
+/** Which tracks the job has now. @returns {Promise<string>} */
+async function versionNow() {
+  const [file] = await get(`/v1/jobs/${jobId}/artifacts?artifact=tracks`);
+  return file?.sha256 ?? "";
+}
+
+/** A job that was restarted has other tracks: what is here of those before must not be mixed with them. */
+async function renew() {
+  if (looking || document.hidden) return;
+  looking = true;
+  try {
+    if (await versionNow() === version) { if (!version) lookAgain(); return; }
+    const hadTracks = version !== "";
+    await load(await Results.of(jobId));
+    if (hadTracks && version) fill(byId("nothing"), message("plain", "the job has made other tracks since", "They are shown now; ids may mean other road users than before."));
+  } finally {
+    looking = false;
+  }
+}
+
+function lookAgain() {
+  window.setTimeout(() => attempt(renew), AGAIN_MS);
+}
+
+/** @param {string} text @param {string} hint */
+function showNothing(text, hint) {
+  known.over = true;
+  if (playing) play(false);
+  byId("player").hidden = true;
+  fill(byId("nothing"), message("plain", text, hint));
+}
+
+/** Show what a job has tracked, with the filter and at the time that were chosen. @param {Results} made */
+async function load(made) {
+  const scene = made.has("tracks") ? await made.scene() : null;
+  version = scene ? made.files.find((one) => one.artifact === "tracks").sha256 : "";
+  if (!scene) { showNothing("there are no tracks yet", "They can be played once the stage “Track” has finished, and appear here by themselves."); lookAgain(); return; }
   cameras = scene.cameras.map((/** @type {any} */ camera) => new Camera(camera));
   classes = new Map(scene.classes.map((/** @type {any} */ one) => [one.name, one.colour]));
   const [found, document_] = await Promise.all([get(`/v1/jobs/${jobId}/tracks/summary`), made.answer("conflicts", "/conflicts")]);
-  if (!found.states) { fill(byId("nothing"), message("plain", "nothing was tracked", "The recordings may show no road user that the network knows.")); return; }
+  if (!found.states) { showNothing("nothing was tracked", "The recordings may show no road user that the network knows."); return; }
   whole = found;
   conflicts = document_?.conflicts ?? [];
-  known = new TrackWindows(jobId, whole.first_ns, whole.last_ns, { frames: made.has("frames"), arrived: () => show(now), failed: complain });
+  known = new TrackWindows(jobId, whole.first_ns, whole.last_ns, { version, frames: made.has("frames"), arrived: () => show(now), failed: complain, changed: () => attempt(renew) });
+  known.within(parameters(filter).polygon);
+  cache = new FrameCache(jobId, FRAME_PX, redraw);
+  [conflict, chosen] = [null, new Set()];
+  fill(byId("nothing"));
   byId("player").hidden = false;
+  canvases.clear();
   fill(byId("views"), cameras.map((camera) => {
     const canvas = /** @type {HTMLCanvasElement} */ (h("canvas", { width: FRAME_PX, height: Math.round((FRAME_PX * camera.height) / camera.width), role: "img", "aria-label": `Frame of camera ${camera.id} with boxes` }));
     canvas.addEventListener("click", (event) => clickView(camera, event));
     canvases.set(camera.id, canvas);
     return h("figure", null, canvas, h("figcaption", null, camera.id));
   }));
-  const seen = new Set(whole.classes.map((/** @type {any} */ one) => one.class));
+  const seen = new Set(whole.classes.map((/** @type {any} */ one) => one.class)), isChecked = (/** @type {string} */ name) => !filter.classes.length || filter.classes.includes(name);
   fill(byId("classes"), scene.classes.filter((/** @type {any} */ one) => seen.has(one.name)).map((/** @type {any} */ one) => {
     const swatch = h("span.swatch", null);
     swatch.style.background = one.colour;
-    return h("label", null, h("input", { type: "checkbox", value: one.name, checked: true }), swatch, one.name);
+    return h("label", null, h("input", { type: "checkbox", value: one.name, checked: isChecked(one.name) }), swatch, one.name);
   }));
   byId("time").max = Math.round((whole.last_ns - whole.first_ns) / period());
   const [x0, y0, x1, y1] = whole.bounds_m;
   plan.fit([[x0, y0], [x1, y1], ...cameras.map((camera) => camera.centre)], 0.03);
   attempt(() => layMap(plan, `/v1/jobs/${jobId}/map?version=${scene.map?.version}`, scene.map));
   showMarks();
-  listen();
   showQuery();
+  if (isListening) { attempt(() => choose(null)); show(now); return; }
+  isListening = true;
+  listen();
   new ClipPanel(() => ({ filter, colour: byId("colour").value, trailS: Number(byId("trail").value), boxes: byId("boxes").checked, speed: Number(byId("speed").value) }), moment, () => [whole.first_ns, whole.last_ns + 1e8]);
   const asked = conflicts.find((one) => one.conflict_id === wholeNumber("conflict"));
   if (asked) openConflict(asked);
   else show(wholeNumber("time_ns") ?? whole.first_ns);
+}
+
+async function start() {
+  const [, made] = await openJob();
+  await load(made);
+  window.addEventListener("focus", () => attempt(renew));
+  document.addEventListener("visibilitychange", () => attempt(renew));
 }
 
 attempt(start);

@@ -1,0 +1,101 @@
+"""What the page of a camera waits for, and what others change while it is open."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import pytest
+
+from tests.browser.conftest import Visit
+from tests.recordings import write_recording
+from tests.service import LiveApi
+
+HEADERS = "**/recordings/*/header"
+
+
+@pytest.fixture(scope="module")
+def recording(tmp_path_factory: pytest.TempPathFactory) -> bytes:
+    path = tmp_path_factory.mktemp("recording") / "north.mp4"
+    return write_recording(path, width_px=640, height_px=360, seconds=2.0).read_bytes()
+
+
+@pytest.fixture
+def new_site(api: LiveApi, recording: bytes) -> str:
+    """Two cameras without points, whose sizes follow their recordings; the first has one."""
+    points = {"kind": "homography", "correspondences": []}
+    cameras = [{"id": one, "width_px": 1920, "height_px": 1080, "calibration": points} for one in ("north", "south")]
+    site = str(api.http.post("/v1/sites", json={"name": "new", "cameras": cameras}).json()["id"])
+    api.upload(site, recording, "north")
+    return site
+
+
+def change(api: LiveApi, site: str, **of_south: Any) -> None:
+    """What somebody else does meanwhile: rename the site, and change its second camera."""
+    document = api.http.get(f"/v1/sites/{site}").json()["site"]
+    document["name"] = "renamed"
+    document["cameras"][1] |= of_south
+    assert api.http.put(f"/v1/sites/{site}", json=document).status_code == 200
+
+
+def first(held: list[Any], page: Any) -> Any:
+    """The first of the requests that are held, once there is one."""
+    while not held:
+        page.wait_for_timeout(20)
+    return held[0]
+
+
+def test_a_calibrated_camera_can_be_used_before_its_recording_is_read(
+    signed_in: Visit, api: LiveApi, recording: bytes
+) -> None:
+    site = api.site(cameras=1)
+    api.upload(site, recording)
+    held: list[Any] = []
+    signed_in.page.route(HEADERS, lambda route: held.append(route))
+    page = signed_in.open(f"/sites/{site}/cameras/cam1")
+    page.locator("#solution dd").first.wait_for()
+    page.get_by_role("button", name="Add a region").click()
+    page.get_by_role("button", name="Save").click()
+    page.get_by_text("saved", exact=True).wait_for()
+    assert page.locator("#frame-note").inner_text() == "Reading the recording …"
+    first(held, page).continue_()
+    page.wait_for_function("() => Number(document.getElementById('time').max) > 1.8")
+    page.locator("#frame-note", has_text="Wheel or").wait_for()
+    with page.expect_request(lambda request: "/frame?time_s=1.5" in request.url):
+        page.locator("#time").fill("1.5")
+
+
+def test_how_long_a_recording_is_is_read_once(signed_in: Visit, api: LiveApi, new_site: str) -> None:
+    page = signed_in.open(f"/sites/{new_site}/cameras/north")
+    page.locator("#frame-note", has_text="Wheel or").wait_for()
+    page.reload()
+    page.locator("#frame-note", has_text="Wheel or").wait_for()
+    entry = "performance.getEntriesByType('resource').find((one) => one.name.endsWith('/header')).transferSize"
+    assert page.evaluate(entry) == 0, "the browser has kept it"
+
+
+def test_saving_keeps_what_others_have_changed_meanwhile(signed_in: Visit, api: LiveApi, new_site: str) -> None:
+    page = signed_in.open(f"/sites/{new_site}/cameras/north")
+    page.get_by_text("0 of at least 4 points").wait_for()
+    page.get_by_role("button", name="Add a region").click()
+    signals = [{"id": "phase-s", "region": [5, 6, 20, 50]}]
+    change(api, new_site, signals=signals)
+    page.get_by_role("button", name="Save").click()
+    page.get_by_text("saved", exact=True).wait_for()
+    kept = api.http.get(f"/v1/sites/{new_site}").json()["site"]
+    assert (kept["name"], kept["cameras"][1]["signals"]) == ("renamed", signals)
+    assert [one["id"] for one in kept["cameras"][0]["signals"]] == ["phase-1"]
+
+
+def test_taking_the_size_of_a_recording_keeps_what_others_have_changed_meanwhile(
+    signed_in: Visit, api: LiveApi, new_site: str
+) -> None:
+    held: list[Any] = []
+    signed_in.page.route(HEADERS, lambda route: held.append(route))
+    page = signed_in.open(f"/sites/{new_site}/cameras/north")
+    route = first(held, page)
+    change(api, new_site, width_px=800, height_px=600)
+    route.continue_()
+    page.get_by_text("0 of at least 4 points").wait_for()
+    kept = api.http.get(f"/v1/sites/{new_site}").json()["site"]
+    assert (kept["name"], kept["cameras"][1]["width_px"]) == ("renamed", 800)
+    assert (kept["cameras"][0]["width_px"], kept["cameras"][0]["height_px"]) == (640, 360)
