@@ -25,6 +25,11 @@ class SyncConfig(StageConfig):
     traffic_rate_hz: float = Field(
         5.0, gt=0, le=60, description="frames a second in which road users are looked for to synchronise"
     )
+    sound: bool = Field(
+        True,
+        description="listen to recordings that have sound: it chooses between offsets that lights or traffic leave"
+        " open, and confirms or contradicts them; it is never believed alone",
+    )
     min_confidence: float = Field(0.3, ge=0, le=1, description="signal changes below this are not used")
     min_lit_share: float = Field(
         0.4,

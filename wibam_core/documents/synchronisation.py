@@ -101,6 +101,8 @@ class CameraClock(Document):
     """Road users that it was found to share with another camera: the most with any one."""
     decided_by_traffic: bool = False
     """The traffic has chosen among offsets that the lights leave open, or the camera shares no light change."""
+    decided_by_sound: bool = False
+    """The sound has chosen among offsets that the lights leave open, and that the traffic says nothing of."""
     segments: list[PlacedSegment] = Field(default_factory=list)
     """Segments of the recording that were placed by themselves; offset and drift are those of its beginning."""
     assumed_from_s: list[float] = Field(default_factory=list)
@@ -129,6 +131,26 @@ class TrafficPair(Document):
     alternatives: list[Alternative]
 
 
+class SoundPair(Document):
+    """What the sound of two recordings says of their clocks: ``first = second + offset_s``. It moves no clock."""
+
+    first: str
+    second: str
+    offset_s: float
+    """In the middle of the second recording."""
+    sd_s: float
+    strength: float
+    """By how many standard deviations more meets under this offset than by chance."""
+    contrast: float
+    """By how many times more meets than under the best other offset."""
+    clear: bool
+    """It is believed: strong, far beyond any other offset, and not by a few loud sounds alone."""
+    residual_s: float
+    """The sound's answer minus that of all witnesses together."""
+    agrees: bool | None
+    """Whether both mean the same, as far as the way of sound between the cameras tells; null where it is not clear."""
+
+
 class Synchronisation(Document):
     """What witnesses say and what was made of it; nothing where the recordings share a clock.
 
@@ -146,6 +168,8 @@ class Synchronisation(Document):
     """By camera id."""
     traffic: list[TrafficPair] = Field(default_factory=list)
     """Every two cameras that road users may connect; empty where the traffic was not asked."""
+    sound: list[SoundPair] = Field(default_factory=list)
+    """Every two cameras whose recordings have sound that could be compared."""
     disagreeing: list[str] = Field(default_factory=list)
     """Cameras whose light changes say otherwise than the traffic, and were left out."""
     rms_after_by_change_s: dict[str, float] = Field(default_factory=dict)

@@ -160,6 +160,7 @@ def _synchronisation(changes: Changes) -> Synchronisation:
         candidates=tuple((id_, other) for id_, clock in changes.cameras.items() for other in clock.alternatives),
         pairs=tuple(changes.traffic),
         segments=tuple((id_, one) for id_, clock in changes.cameras.items() for one in clock.segments),
+        sounds=tuple(changes.sound),
     )
 
 

@@ -14,7 +14,7 @@ from wibam_core.documents.metrics import Metrics
 from wibam_core.documents.refinement import Refinement
 from wibam_core.documents.rounds import Rounds
 from wibam_core.documents.statistics import SubsetStatistics
-from wibam_core.documents.synchronisation import Alternative, PlacedSegment, TrafficPair
+from wibam_core.documents.synchronisation import Alternative, PlacedSegment, SoundPair, TrafficPair
 from wibam_core.documents.warnings import StageWarning
 from wibam_core.geometry.camera import Camera
 from wibam_core.report.bev import BoxesInstant, ClusteredInstant
@@ -72,6 +72,7 @@ class Synchronisation:
         candidates: by camera, other offsets that its light changes were compared under, the likeliest first.
         pairs: what the road users say of two cameras.
         segments: by camera, segments of its recording that were placed by themselves.
+        sounds: what the sound of two recordings says.
     """
 
     clocks: tuple[ClockRow, ...]
@@ -80,6 +81,7 @@ class Synchronisation:
     candidates: tuple[tuple[str, Alternative], ...] = ()
     pairs: tuple[TrafficPair, ...] = ()
     segments: tuple[tuple[str, PlacedSegment], ...] = ()
+    sounds: tuple[SoundPair, ...] = ()
 
 
 @dataclass(frozen=True)

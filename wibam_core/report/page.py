@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from wibam_core.documents.conflicts import ConflictRow, Exposure
 from wibam_core.documents.metrics import Metrics
 from wibam_core.documents.statistics import SubsetStatistics
-from wibam_core.documents.synchronisation import TrafficPair
+from wibam_core.documents.synchronisation import SoundPair, TrafficPair
 from wibam_core.documents.warnings import StageWarning
 from wibam_core.report.advice import advice
 from wibam_core.report.cameras import overlap_rows, overlap_text, refined_rows, refinement_text
@@ -73,6 +73,7 @@ class Page:
     clocks: tuple[tuple[str, ...], ...]
     clock_candidates: tuple[tuple[str, ...], ...]
     traffic_pairs: tuple[tuple[str, ...], ...]
+    sound_pairs: tuple[tuple[str, ...], ...]
     placed_segments: tuple[tuple[str, ...], ...]
     zones: tuple[str, ...]
     calibration: tuple[tuple[str, ...], ...]
@@ -126,6 +127,7 @@ def build_page(data: ReportData, pictures: Pictures) -> Page:
         clocks=_clocks(data),
         clock_candidates=_candidates(data),
         traffic_pairs=_traffic_pairs(data),
+        sound_pairs=tuple(_sound_pair(pair) for pair in data.synchronisation.sounds),
         placed_segments=tuple(
             (id_, f"{one.from_s:.1f}", f"{signed(one.shift_s, 3)} ± {one.sd_s:.3f}", str(one.matched))
             for id_, one in data.synchronisation.segments
@@ -343,6 +345,12 @@ def _traffic_pairs(data: ReportData) -> tuple[tuple[str, ...], ...]:
         )
         for pair in data.synchronisation.pairs
     )
+
+
+def _sound_pair(pair: SoundPair) -> tuple[str, ...]:
+    verdict = "agrees" if pair.agrees else "says otherwise" if pair.clear else "not used: not clear"
+    offset = f"{signed(pair.offset_s, 2)} ± {pair.sd_s:.2f}"
+    return f"{pair.second} against {pair.first}", offset, f"{pair.contrast:.1f}", signed(pair.residual_s, 2), verdict
 
 
 def _others(pair: TrafficPair) -> str:

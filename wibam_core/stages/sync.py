@@ -15,12 +15,15 @@ from wibam_core.errors import MissingCamera, NoSignalChange, UnknownClock
 from wibam_core.formats.clocks import Clocks
 from wibam_core.progress import part
 from wibam_core.stages.base import StageContext, Summary
+from wibam_core.stages.listening import listen
 from wibam_core.stages.passing import Passing
 from wibam_core.sync.changes import SignalWatch
 from wibam_core.sync.document import LEAST_SHARE, ambiguities, doubts, sync_document
+from wibam_core.sync.hearing import SoundAlignment
 from wibam_core.sync.paths import GroundPath
 from wibam_core.sync.regions import region_cautions, unseen_cautions
 from wibam_core.sync.segments import InSegments, Span, synchronise_segments
+from wibam_core.sync.sound_pairs import sound_cautions
 
 #: What places a segment no better than to a second.
 _UNSURE = ("assumed", "creation_time", "name")
@@ -45,19 +48,29 @@ def run(context: StageContext, config: SyncConfig) -> Summary:
         if camera_id not in context.recordings:
             raise MissingCamera(f"there is no recording for camera {camera_id}", camera=camera_id)
     infos = {camera_id: context.read(PROBE).cameras[camera_id] for camera_id in context.site.camera_ids}
+    sounds = listen(context, _segments_s(infos)) if config.sound else []
     passing, watches = Passing(context, infos), _watches(context, config, infos)
     if config.method == "signals":
         passing.lights(watches, context.progress)
         changes = _changes(watches, config)
-        found = _by_lights(context, config, infos, changes)
+        found = _by_lights(context, config, infos, changes, sounds)
         assert found is not None, "lights that are asked alone answer or raise"
     else:
-        found, changes = _with_traffic(context, config, infos, passing, watches)
+        found, changes = _with_traffic(context, config, infos, passing, watches, sounds)
     context.progress(1.0)
     by_camera = found.found
     result = by_camera.result
-    document = sync_document(changes, result, by_camera.traffic, by_camera.disagreeing, found.placed, found.assumed)
-    cautions = [*ambiguities(document), *doubts(document, config.max_offset_s)]
+    document = sync_document(
+        changes,
+        result,
+        by_camera.traffic,
+        by_camera.disagreeing,
+        found.placed,
+        found.assumed,
+        sounds,
+        by_camera.by_sound,
+    )
+    cautions = [*ambiguities(document), *doubts(document, config.max_offset_s), *sound_cautions(document)]
     if watches:
         cautions += [
             *region_cautions(context.site),
@@ -75,15 +88,18 @@ def _by_lights(
     config: SyncConfig,
     infos: Mapping[str, VideoInfo],
     changes: Mapping[str, Sequence[SignalChange]],
+    sounds: Sequence[SoundAlignment] = (),
 ) -> InSegments | None:
-    """The lights' answer; None where they have none, and the traffic may be asked."""
+    """The lights' answer, with the sound where it is given; None where they have none, and the traffic may be asked."""
     reference = context.site.camera_ids[0]
     confident = _confident(changes, config)
     alone = config.method == "signals"
     if not alone and any(not confident.get(camera_id) for camera_id in infos):
         return None
     try:
-        return synchronise_segments(_segments_s(infos), reference, changes=confident, max_offset_s=config.max_offset_s)
+        return synchronise_segments(
+            _segments_s(infos), reference, changes=confident, sounds=sounds, max_offset_s=config.max_offset_s
+        )
     except NoSignalChange:
         if alone:
             raise
@@ -96,8 +112,9 @@ def _with_traffic(
     infos: Mapping[str, VideoInfo],
     passing: Passing,
     watches: Mapping[str, SignalWatch],
+    sounds: Sequence[SoundAlignment],
 ) -> tuple[InSegments, dict[str, list[SignalChange]]]:
-    """What the lights say, and the traffic where it is asked for or they leave anything open; and all light changes.
+    """What the lights say, and traffic and sound where asked for or they leave anything open; and all light changes.
 
     Each recording is decoded once, for both: whether the lights are enough is known at the end. Where they may be,
     every other frame of the traffic is looked at on the way, which is enough to decide between offsets that sound
@@ -114,6 +131,7 @@ def _with_traffic(
             context.site.camera_ids[0],
             changes=_confident(changes, config),
             paths=paths,
+            sounds=sounds,
             max_offset_s=config.max_offset_s,
         )
 

@@ -19,9 +19,11 @@ from wibam_core.documents.synchronisation import (
 )
 from wibam_core.documents.warnings import Caution
 from wibam_core.errors import NoSignalChange
+from wibam_core.sync.hearing import SoundAlignment
 from wibam_core.sync.matching import Alignment, Offset
 from wibam_core.sync.offsets import SyncResult
 from wibam_core.sync.segments import Placed
+from wibam_core.sync.sound_pairs import sound_pair
 from wibam_core.sync.traffic import TrafficAlignment
 
 #: A clock under which a smaller share of the changes meets is doubtful.
@@ -39,6 +41,8 @@ def sync_document(
     disagreeing: Sequence[str] = (),
     placed: Mapping[str, Sequence[Placed]] | None = None,
     assumed: Mapping[str, Sequence[float]] | None = None,
+    sounds: Sequence[SoundAlignment] = (),
+    by_sound: Sequence[str] = (),
 ) -> Synchronisation:
     """All changes, which of them were matched, and how far each camera was from the reference before and after.
 
@@ -49,6 +53,8 @@ def sync_document(
         disagreeing: cameras whose light changes were left out, since the traffic says otherwise.
         placed: camera id -> segments of its recording that were placed by themselves.
         assumed: camera id -> beginnings of segments that nothing places.
+        sounds: what the sound says of each two cameras.
+        by_sound: cameras between whose offsets the sound has chosen.
     """
     matched = {(c, change) for group in result.groups for c, change in group.seen.items()}
     return Synchronisation(
@@ -81,6 +87,7 @@ def sync_document(
         cameras={
             camera_id: _camera(camera_id, changes, result, traffic).model_copy(
                 update={
+                    "decided_by_sound": camera_id in by_sound,
                     "segments": [PlacedSegment(**vars(one)) for one in (placed or {}).get(camera_id, ())],
                     "assumed_from_s": list((assumed or {}).get(camera_id, ())),
                 }
@@ -88,6 +95,7 @@ def sync_document(
             for camera_id in result.clocks
         },
         traffic=[_pair(one, result) for one in traffic],
+        sound=[sound_pair(one, result) for one in sounds],
         disagreeing=list(disagreeing),
         rms_after_by_change_s=_by_change(result),
     )

@@ -14,6 +14,7 @@ import numpy as np
 
 from wibam_core.clocks import ClockMap, ClockPiece, SignalChange
 from wibam_core.errors import NoSignalChange, UnknownClock
+from wibam_core.sync.hearing import SoundAlignment
 from wibam_core.sync.offsets import Meeting, SyncResult
 from wibam_core.sync.paths import GroundPath
 from wibam_core.sync.witnesses import Synchronised, synchronise
@@ -84,6 +85,7 @@ def synchronise_segments(
     *,
     changes: Mapping[str, Sequence[SignalChange]] | None = None,
     paths: Mapping[str, Sequence[GroundPath]] | None = None,
+    sounds: Sequence[SoundAlignment] = (),
     max_offset_s: float | None = None,
 ) -> InSegments:
     """As `synchronise`, of recordings whose segments may lie anywhere.
@@ -93,6 +95,7 @@ def synchronise_segments(
         reference_id: the camera whose first segment's clock is kept.
         changes: camera id -> light changes; None: the lights are not asked.
         paths: camera id -> ways of road users; None: the traffic is not asked.
+        sounds: what recordings of one segment sound like, two by two.
         max_offset_s: of offsets that explain all equally well, smaller ones than this are preferred.
 
     Raises:
@@ -108,6 +111,7 @@ def synchronise_segments(
                 reference_id,
                 changes=None if changes is None else {n: list(_changes_of(s, changes)) for n, s in names.items()},
                 paths=None if paths is None else {n: list(_paths_of(s, paths)) for n, s in names.items()},
+                sounds=sounds,
                 max_offset_s=max_offset_s,
                 owners={name: s.camera_id for name, s in names.items()},
                 ties=_ties(stretches),
@@ -220,4 +224,4 @@ def _composed(
     )
     assumed = {c: tuple(span[0] for s in own for span in s.segments[1:]) for c, own in stretches.items()}
     disagreeing = tuple(dict.fromkeys(owner[name] for name in found.disagreeing))
-    return InSegments(Synchronised(whole, traffic, disagreeing), placed, assumed)
+    return InSegments(Synchronised(whole, traffic, disagreeing, found.sounds, found.by_sound), placed, assumed)

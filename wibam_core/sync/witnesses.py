@@ -1,4 +1,4 @@
-"""All cameras' clocks from what witnesses say: the lights, the traffic, or both."""
+"""All cameras' clocks from what witnesses say: the lights, the traffic, or both, and what recordings sound like."""
 
 from __future__ import annotations
 
@@ -8,6 +8,7 @@ from itertools import combinations
 
 from wibam_core.clocks import SignalChange
 from wibam_core.errors import UnknownClock
+from wibam_core.sync.hearing import SoundAlignment
 from wibam_core.sync.matching import Alignment, ChangeGroup, match_changes
 from wibam_core.sync.offsets import Meeting, SyncResult, solve_clocks
 from wibam_core.sync.paths import GroundPath
@@ -18,7 +19,9 @@ Clock = tuple[float, float]
 Spans = Mapping[str, tuple[float, float]]
 
 #: Witnesses that differ by more than this mean different things, s.
-_APART_S = 0.4
+APART_S = 0.4
+#: Sound decides for an offset that lies as near as this, if no other does.
+_SAME_CYCLE_S = 1.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -29,11 +32,15 @@ class Synchronised:
         result: clocks and light changes.
         traffic: what the road users say of each two cameras that share any.
         disagreeing: cameras whose light changes say otherwise than the traffic, which is believed.
+        sounds: what the sound says of each two cameras that have any.
+        by_sound: cameras whose lights leave several offsets open, between which the sound has chosen.
     """
 
     result: SyncResult
     traffic: tuple[TrafficAlignment, ...] = ()
     disagreeing: tuple[str, ...] = ()
+    sounds: tuple[SoundAlignment, ...] = ()
+    by_sound: tuple[str, ...] = ()
 
     @property
     def is_ambiguous(self) -> bool:
@@ -47,6 +54,7 @@ def synchronise(
     *,
     changes: Mapping[str, Sequence[SignalChange]] | None = None,
     paths: Mapping[str, Sequence[GroundPath]] | None = None,
+    sounds: Sequence[SoundAlignment] = (),
     max_offset_s: float | None = None,
     owners: Mapping[str, str] | None = None,
     ties: Sequence[Meeting] = (),
@@ -54,13 +62,15 @@ def synchronise(
     """Offset and drift of every camera against the reference.
 
     The traffic decides where the lights repeat themselves, makes their answer more exact, and stands alone where a
-    camera sees no light that another one does.
+    camera sees no light that another one does. Sound decides where these leave several offsets open, one of which it
+    says, too; it moves no clock.
 
     Args:
         spans_s: camera id -> first and last time of its recording, on its own clock; all cameras.
         reference_id: the camera whose clock is kept.
         changes: camera id -> light changes; None: the lights are not asked.
         paths: camera id -> ways of road users; None: the traffic is not asked.
+        sounds: what recordings sound like, two by two.
         max_offset_s: of offsets that explain all equally well, smaller ones than this are preferred.
         owners: id -> camera, where several ids are segments of one camera, which never see anything at the same time.
         ties: what is known of clocks beside what is seen.
@@ -73,20 +83,22 @@ def synchronise(
     lit_reference = reference_id if reference_id in lit else next(iter(lit), reference_id)
     groups, alignments = _by_lights(lit, lit_reference, max_offset_s, spans_s, paths is None, owners)
     open_s = {lit_reference: [0.0]} | {c: one.open_s for c, one in alignments.items()}
-    traffic = _by_traffic(spans_s, paths, owners, open_s)
+    heard = [one for one in sorted(sounds, key=lambda one: -one.strength) if one.is_clear]
+    traffic = _by_traffic(spans_s, paths, owners, open_s, heard)
     edges = [
         (one.first_id, one.second_id, (one.taken.offset_s, one.taken.drift))
         for one in sorted(traffic, key=lambda one: -one.taken.evidence)
         if one.is_clear
     ]
     near = _tree(lit_reference, edges)
-    if traffic and alignments:
-        near_s = {camera_id: offset_s for camera_id, (offset_s, _) in near.items() if camera_id in lit}
+    by_sound = _by_sound(lit_reference, edges, alignments, heard, spans_s)
+    if (traffic or by_sound) and alignments:
+        near_s = by_sound | {camera_id: offset_s for camera_id, (offset_s, _) in near.items() if camera_id in lit}
         groups, alignments = match_changes(lit, lit_reference, max_offset_s, spans_s, near_s, owners=owners)
     disagreeing = tuple(
         c
         for c, one in alignments.items()
-        if c in near and _apart_s((one.taken.offset_s, one.taken.drift), near[c], spans_s[c]) > _APART_S
+        if c in near and _apart_s((one.taken.offset_s, one.taken.drift), near[c], spans_s[c]) > APART_S
     )
     if disagreeing:
         groups = [_without(group, disagreeing) for group in groups]
@@ -99,14 +111,15 @@ def synchronise(
     if unknown:
         raise UnknownClock(
             f"the clock of {', '.join(unknown)} is unknown: too few light changes and road users are shared with the "
-            "other cameras" + _considered(traffic, unknown),
+            "other cameras" + _considered(traffic, unknown) + _heard(heard, unknown),
             hint="Mark a signal head that two cameras see, record for longer, and check that the recordings overlap in "
             "time, that each is its camera's own, and that the calibration is right.",
             cameras=unknown,
         )
     starts = {camera_id: rough[camera_id] for camera_id in spans_s if camera_id != reference_id}
     meetings = [*ties, *(one.meeting for one in traffic if one.is_clear and one.meeting is not None)]
-    return Synchronised(solve_clocks(reference_id, groups, starts, alignments, meetings), tuple(traffic), disagreeing)
+    result = solve_clocks(reference_id, groups, starts, alignments, meetings)
+    return Synchronised(result, tuple(traffic), disagreeing, tuple(sounds), tuple(by_sound))
 
 
 def _by_lights(
@@ -128,20 +141,57 @@ def _by_traffic(
     paths: Mapping[str, Sequence[GroundPath]] | None,
     owners: Mapping[str, str] | None,
     open_s: Mapping[str, Sequence[float]],
+    heard: Sequence[SoundAlignment],
 ) -> list[TrafficAlignment]:
-    """Each two cameras; ``open_s`` are the offsets that the lights leave open, of cameras whose lights were matched."""
+    """Each two cameras; ``open_s`` are the offsets that the lights leave open, of cameras whose lights were matched.
+
+    Of these, those that the sound says, too, are expected; where the lights leave none, the sound's own.
+    """
     if paths is None:
         return []
     found = []
+    by_sound = {(one.first_id, one.second_id): one.offset_s for one in heard}
     for first_id, second_id in combinations(spans_s, 2):
         if owners is not None and owners[first_id] == owners[second_id]:
             continue
         expected = [b - a for a in open_s.get(first_id, ()) for b in open_s.get(second_id, ())]
+        offset_s = by_sound.get((first_id, second_id))
+        if offset_s is not None:
+            near = [other for other in expected if abs(other - offset_s) < _SAME_CYCLE_S]
+            expected = near or expected or [offset_s]
         one = align_by_traffic(
             first_id, paths[first_id], spans_s[first_id], second_id, paths[second_id], spans_s[second_id], expected
         )
         if one is not None:
             found.append(one)
+    return found
+
+
+def _by_sound(
+    root_id: str,
+    edges: Sequence[tuple[str, str, Clock]],
+    alignments: Mapping[str, Alignment],
+    heard: Sequence[SoundAlignment],
+    spans_s: Spans,
+) -> dict[str, float]:
+    """Offsets of cameras whose lights leave several open, where the traffic (``edges``) says nothing of them and the
+    sound says one."""
+    taken = {c: one.taken for c, one in alignments.items() if not one.is_ambiguous}
+    by_lights = [(root_id, c, (offset.offset_s, offset.drift)) for c, offset in taken.items()]
+    by_sound = [(one.first_id, one.second_id, (one.offset_s, 0.0)) for one in heard]
+    by_traffic, clocks = _tree(root_id, edges), _tree(root_id, [*edges, *by_lights, *by_sound])
+    found = {}
+    for camera_id, alignment in alignments.items():
+        if not alignment.is_ambiguous or camera_id in by_traffic or camera_id not in clocks:
+            continue
+        near = [
+            offset.offset_s
+            for offset in (alignment.taken, *alignment.alternatives)
+            if not offset.excluded
+            and _apart_s((offset.offset_s, offset.drift), clocks[camera_id], spans_s[camera_id]) < _SAME_CYCLE_S
+        ]
+        if len(near) == 1:
+            found[camera_id] = near[0]
     return found
 
 
@@ -193,3 +243,13 @@ def _considered(traffic: Sequence[TrafficAlignment], unknown: Sequence[str]) -> 
         if not one.is_clear and (one.first_id in unknown) != (one.second_id in unknown)
     ]
     return f" (the traffic cannot decide: {'; '.join(told)})" if told else ""
+
+
+def _heard(heard: Sequence[SoundAlignment], unknown: Sequence[str]) -> str:
+    """What the sound says of clocks that nothing else tells, in words."""
+    told = [
+        f"{one.second_id} against {one.first_id} {one.offset_s:+.1f} s"
+        for one in heard
+        if (one.first_id in unknown) != (one.second_id in unknown)
+    ]
+    return f" (the sound says {'; '.join(told)}, but is not believed alone)" if told else ""

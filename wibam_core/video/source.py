@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import codecs
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from fractions import Fraction
 from pathlib import Path
@@ -64,22 +64,42 @@ def open_video(path: Path, threads: int = 1, name: str | None = None) -> Iterato
         UnreadableVideo: saying what the file is instead of a readable video.
     """
     name = name or path.name
+    with open_container(path, name) as container:
+        stream = _video_stream(container, name)
+        stream.codec_context.thread_count = max(threads, 1)
+        if threads > 1:
+            stream.codec_context.thread_type = "AUTO"
+        yield container, stream
+
+
+@contextmanager
+def open_container(path: Path, name: str, allowed: Sequence[str] = CODECS) -> Iterator[InputContainer]:
+    """Open a recording for reading.
+
+    Args:
+        path: the file.
+        name: what messages call it.
+        allowed: decoders that may be used.
+
+    Raises:
+        UnreadableVideo: saying what the file is instead of a readable video.
+    """
     if not path.is_file():
         raise UnreadableVideo(f"{name} does not exist or is no file", hint="Give the path of a recording.")
     if path.stat().st_size == 0:
         raise UnreadableVideo(f"{name} is an empty file", hint="Upload the recording again.")
-    limits = {"protocol_whitelist": "file", "format_whitelist": ",".join(FORMATS), "codec_whitelist": ",".join(CODECS)}
+    limits = {
+        "protocol_whitelist": "file",
+        "format_whitelist": ",".join(FORMATS),
+        "codec_whitelist": ",".join(allowed),
+    }
     try:
         # an absolute path begins with no protocol
         container = av.open(str(path.resolve()), "r", container_options=limits, options={"max_pixels": str(MAX_PIXELS)})
     except (av.FFmpegError, OSError, ValueError) as error:
         raise _refusal(path, name) from error
     with container:
-        stream = _video_stream(container, name)
-        stream.codec_context.thread_count = max(threads, 1)
-        if threads > 1:
-            stream.codec_context.thread_type = "AUTO"
-        yield container, stream
+        yield container
 
 
 def video_streams(container: InputContainer) -> list[VideoStream]:

@@ -12,7 +12,7 @@ import pytest
 from tests.builders import AMBIGUOUS
 from tests.unit.report.scenes import report_data
 from wibam_core.documents.rounds import Rounds
-from wibam_core.documents.synchronisation import Alternative, PlacedSegment, TrafficPair
+from wibam_core.documents.synchronisation import Alternative, PlacedSegment, SoundPair, TrafficPair
 from wibam_core.report.data import Synchronisation, Training
 from wibam_core.report.render import render
 
@@ -118,10 +118,17 @@ def test_what_clocks_rest_on_stands_in_tables(page):
     worse = Alternative(offset_s=-59.0, matched=4, could=20.0, score=0.2, excluded=True)
     unclear = pair.model_copy(update={"second": "west", "clear": False, "alternatives": [rival, worse]})
     few = pair.model_copy(update={"second": "south", "clear": False, "sd_s": None, "residual_s": None})
+    heard = SoundPair(
+        first="north", second="east", offset_s=-1.6, sd_s=0.09, strength=14.0, contrast=2.31, clear=True,
+        residual_s=-0.104, agrees=True,
+    )  # fmt: skip
+    vague = heard.model_copy(update={"second": "west", "clear": False, "agrees": None, "contrast": 1.02})
+    other = heard.model_copy(update={"second": "south", "agrees": False, "residual_s": 60.1})
     shown = text_alone(
         synchronisation=Synchronisation(
             (),
             (),
+            sounds=(heard, vague, other),
             candidates=(("east", rival), ("east", worse)),
             pairs=(pair, unclear, few),
             segments=(("west", PlacedSegment(from_s=300.0, shift_s=61.3, sd_s=0.004, matched=17)),),
@@ -134,7 +141,10 @@ def test_what_clocks_rest_on_stands_in_tables(page):
     assert "east||+61.00||+0||20 of 22 (91%)||as likely" in cells
     assert "east||−59.00||+0||4 of 20 (20%)||excluded" in cells
     assert "west||300.0||+61.300 ± 0.004||17" in cells
-    assert "Table of what the traffic says" not in page
+    assert "east against north||−1.60 ± 0.09||2.3||−0.10||agrees" in cells
+    assert "west against north||−1.60 ± 0.09||1.0||−0.10||not used: not clear" in cells
+    assert "south against north||−1.60 ± 0.09||2.3||+60.10||says otherwise" in cells
+    assert "Table of what the traffic says" not in page and "Table of what the sound says" not in page
 
 
 def test_without_labels_there_is_no_accuracy_but_agreement(page):
