@@ -170,7 +170,8 @@ def camera_from_homography(H_image_ground: Array, visible: Array, width_px: int,
     if T_world_cam.translation[2] <= 0:
         raise CalibrationError(
             "the ground looks mirrored: the points fit a camera below it",
-            hint="World axes must be right-handed with Z up: swap X and Y, or flip the sign of one of them.",
+            hint="World axes must be right-handed with Z up: swap X and Y, or flip the sign of one of them. "
+            "Longitude and latitude that were exchanged look the same.",
         )
     K = centre @ np.diag([focal, focal, 1.0])
     return Camera(K, np.zeros(0), T_world_cam, width_px, height_px)

@@ -209,8 +209,8 @@ def turned_world(camera: Camera, world: Array) -> Reading | None:
 
 MIRRORED = Reading(
     "the world axes look mirrored: the points fit a left-handed system",
-    "World axes must be right-handed with Z up: swap X and Y, or flip the sign of one of them. A picture that is "
-    "mirrored looks the same.",
+    "World axes must be right-handed with Z up: swap X and Y, or flip the sign of one of them. Longitude and latitude "
+    "that were exchanged, and a picture that is mirrored, look the same.",
 )
 
 

@@ -29,7 +29,7 @@ def calibration(
         list[Path],
         typer.Argument(
             help="A lens, a pose or surveyed points: OpenCV YAML, JSON or XML, Kalibr, COLMAP, TUMTraf, MATLAB (JSON, "
-            ".mat), QGIS .points, GeoJSON."
+            ".mat), QGIS .points, OpenDroneMap, GeoJSON."
         ),
     ],
     name: Annotated[

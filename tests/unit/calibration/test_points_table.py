@@ -237,3 +237,78 @@ def test_what_stands_in_brackets_may_be_anything_else(header: str) -> None:
     last = header.split("\n")[-1]
     _, [camera] = read_named("p.csv", table(last).replace(last, header))
     assert camera.points is not None and len(camera.points.pixels) == len(PIXELS)
+
+
+@pytest.mark.parametrize(
+    ("value", "hint"),
+    [
+        ("11:34:13.2", "decimal degrees"),
+        ("11 34 13.2 E", "decimal degrees"),
+        ("11.570332E", "decimal degrees"),
+        ("N48.137", "decimal degrees"),
+        ("11°34'13.2\"", "decimal degrees"),
+        ("about 11", "plain numbers"),
+    ],
+)
+def test_degrees_that_are_written_otherwise_are_called_so(value: str, hint: str) -> None:
+    with pytest.raises(InputError, match="line 2, lat") as error:
+        read_named("points.tsv", f"lon\tlat\tu\tv\n1\t{value}\t3\t4\n")
+    assert error.value.hint is not None and hint in error.value.hint
+
+
+def test_columns_with_two_names_go_by_the_second() -> None:
+    """As Metashape writes them."""
+    _, [camera] = read_named("markers.csv", table("X/Easting,Y/Northing,Z/Altitude,u,v"))
+    assert camera.points is not None
+    np.testing.assert_allclose(camera.points.coordinates[:, :2], GRID[:, :2], atol=1e-6)
+    np.testing.assert_allclose(camera.points.altitudes_m, GRID[:, 2], atol=1e-6)
+    _, [camera] = read_named("markers.csv", table("X/Longitude,Y/Latitude,Z/Altitude,u,v"))
+    assert camera.points is not None and camera.points.crs == "EPSG:4326"
+
+
+def control_points(system: str, *, more: str = " north.jpg p1") -> str:
+    rows = (
+        f"{x:.4f}\t{y:.4f} {520 + z:.3f}  {u:.2f} {v:.2f}{more}" for (x, y, z), (u, v) in zip(GRID, PIXELS, strict=True)
+    )
+    return "\n".join([system, *rows, ""])
+
+
+@pytest.mark.parametrize(
+    ("system", "crs"),
+    [
+        ("EPSG:25832", "EPSG:25832"),
+        ("WGS84 UTM 32N", "EPSG:32632"),
+        ("WGS84 UTM 5S", "EPSG:32705"),
+        ("+proj=utm +zone=32 +ellps=GRS80 +units=m +no_defs", "+proj=utm +zone=32 +ellps=GRS80 +units=m +no_defs"),
+    ],
+)
+def test_control_points_of_opendronemap_are_read(system: str, crs: str) -> None:
+    form, [camera] = read_named("gcp_list.txt", control_points(system))
+    assert form == "OpenDroneMap gcp_list.txt" and camera.name == "north" and camera.points is not None
+    assert camera.points.crs == crs
+    np.testing.assert_allclose(camera.points.coordinates[:, :2], GRID[:, :2], atol=1e-3)
+    assert np.isnan(camera.points.coordinates[:, 2]).all()
+    np.testing.assert_allclose(camera.points.altitudes_m, 520 + GRID[:, 2], atol=1e-3)
+    np.testing.assert_allclose(camera.points.pixels, PIXELS, atol=0.01)
+
+
+def test_control_points_of_opendronemap_calibrate_a_camera() -> None:
+    _, [camera] = read_named("gcp_list.txt", control_points("EPSG:25832", more=""))
+    described = describe("north", [camera], (1280, 720))
+    assert described.origin is not None and described.origin.altitude_m == pytest.approx(520.0, abs=3.0)
+    assert described.camera.calibration.kind == "homography"
+
+
+def test_pictures_of_several_cameras_in_one_list_are_told_apart() -> None:
+    lines = control_points("EPSG:25832").splitlines()
+    text = "\n".join([*lines, *(line.replace("north.jpg", "east.JPG") for line in lines[1:5]), "# end", ""])
+    _, cameras = read_named("gcp_list.txt", text)
+    assert [camera.name for camera in cameras] == ["north", "east"]
+
+
+@pytest.mark.parametrize(
+    ("row", "message"), [("1 2 3 4", "line 2 does not begin"), ("1 2 3 nan 5 a.jpg", "not finite"), ("", "no line has")]
+)
+def test_broken_control_points_of_opendronemap_are_refused(row: str, message: str) -> None:
+    with pytest.raises(InputError, match=message):
+        read_named("gcp_list.txt", f"EPSG:25832\n{row}\n")

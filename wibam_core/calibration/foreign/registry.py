@@ -14,6 +14,7 @@ from wibam_core.calibration.foreign.colmap import COLMAP_CAMERAS, COLMAP_IMAGES
 from wibam_core.calibration.foreign.geojson import GEOJSON
 from wibam_core.calibration.foreign.kalibr import KALIBR
 from wibam_core.calibration.foreign.matlab import MATLAB, read_mat
+from wibam_core.calibration.foreign.odm import ODM
 from wibam_core.calibration.foreign.opencv import OPENCV
 from wibam_core.calibration.foreign.points_table import POINTS_TABLE
 from wibam_core.calibration.foreign.qgis import QGIS
@@ -24,7 +25,7 @@ from wibam_core.text import NotJson, read_json
 
 #: Asked in this order: what is more particular comes first.
 READERS: tuple[Reader, ...] = (
-    QGIS, POINTS_TABLE, GEOJSON, TUMTRAF, MATLAB, KALIBR, OPENCV, COLMAP_CAMERAS, COLMAP_IMAGES,
+    QGIS, ODM, POINTS_TABLE, GEOJSON, TUMTRAF, MATLAB, KALIBR, OPENCV, COLMAP_CAMERAS, COLMAP_IMAGES,
 )  # fmt: skip
 #: Larger files are no calibration.
 _MAX_BYTES = 1 << 26

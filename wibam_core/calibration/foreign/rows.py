@@ -14,6 +14,8 @@ _COMMENTS = ("#", "//", "%")
 #: What people write behind a name: a unit, in brackets or behind an underscore.
 _UNIT = re.compile(r"[\s_]*[\[(][^\])]*[\])]\s*$|_(?:m|px|deg)$")
 _BRACKETED = re.compile(r"[\[(]([^\])]*)[\])]\s*\"?\s*$")
+#: Degrees, minutes and seconds, or degrees of a hemisphere.
+_DEGREES = re.compile(r"[+-]?\d{1,3}(?:[:\s]\d{1,2}){1,2}(?:[.,]\d*)?\s*[NSEWO]?|[NSEWO]?\s*[\d.,]+\s*[NSEWO]?")
 
 
 @dataclass(frozen=True)
@@ -46,7 +48,7 @@ class Rows:
             return float(plain)
         except ValueError as error:
             hint = "Give plain numbers, such as 5334567.25."
-            if "°" in text:
+            if "°" in text or _DEGREES.fullmatch(text):
                 hint = "Give decimal degrees, such as 48.137154 and -0.127758, south and west negative."
             if re.fullmatch(r"[+-]?\d{1,3}(?:[.,'\u2019\s\u00a0\u202f]\d{3})+(?:[.,]\d*)?", text):
                 raise InputError(f"line {line}, {name}: {text!r} has its thousands set apart", hint=hint) from error
@@ -116,4 +118,5 @@ def _cells(line: str, delimiter: str) -> list[str]:
 
 
 def _plain(name: str) -> str:
-    return _UNIT.sub("", name.strip().strip('"').lower()).strip()
+    """Of two names for one column, as Metashape's ``X/Easting``, the second, which says more."""
+    return _UNIT.sub("", name.strip().strip('"').lower()).rpartition("/")[2].strip()
