@@ -28,6 +28,12 @@ _VIEW = re.compile(
 #: Views that were recorded together begin so far apart at most, ns.
 _TOGETHER_NS = 2_000_000_000
 
+#: By how much more or less than an hour times may differ, where a camera notes when a file was finished, ns.
+_HOUR_NS, _HOUR_SLACK_NS = 3_600_000_000_000, 600_000_000_000
+
+#: A time of day without a date, or a date with two digits for the year: its parts count no files.
+_CLOCK = re.compile(r"(?<!\d)\d{1,2}([-_.:])\d{2}\1\d{2}(?!\d)")
+
 _CHANNEL = re.compile(r"(?:ch|channel|cam|camera)[ _-]?(\d{1,3})(?!\d)", re.IGNORECASE)
 
 
@@ -144,6 +150,7 @@ def _dated(names: Sequence[str], begins_ns: Sequence[int | None]) -> list[Named]
         )
     times = likely(readings, begins_ns)
     if times is not None:
+        times = _over_summer_time(times, begins_ns) or times
         return _distinct([Named(name, (time,), None, time) for name, time in zip(names, times, strict=True)])
     orders = {tuple(sorted(range(len(names)), key=lambda index: times[index])) for times in readings}
     if len(orders) == 1:  # which comes first is certain, and how long after is not
@@ -155,6 +162,18 @@ def _dated(names: Sequence[str], begins_ns: Sequence[int | None]) -> list[Named]
             hint="Put the year in front, e.g. 2024-12-02 10-00-00.mp4.",
         )
     return made
+
+
+def _over_summer_time(times_ns: Sequence[int], begins_ns: Sequence[int | None]) -> tuple[int, ...] | None:
+    """When the files say that they were made, if the times in their names are an hour more beside that in some than in
+    others: names tell the time of day, which was set back or forward in between."""
+    made = [begin for begin in begins_ns if begin is not None]
+    if len(made) < len(times_ns):
+        return None
+    beside = [time - begin for time, begin in zip(times_ns, made, strict=True)]
+    hour = max(beside) - min(beside)
+    in_two = all(min(abs(one - min(beside)), abs(one - max(beside))) < _HOUR_SLACK_NS for one in beside)
+    return tuple(made) if abs(hour - _HOUR_NS) < _HOUR_SLACK_NS and in_two else None
 
 
 def _made(names: Sequence[str], begins_ns: Sequence[int | None]) -> list[Named] | None:
@@ -184,6 +203,9 @@ def _numbered(names: Sequence[str]) -> list[Named] | None:
     for name, part, number in zip(names, parts, numbers, strict=True):
         before = max((other for other in there if 0 <= other < number), default=None)
         gone = range(before + 1, number) if before is not None and number - before <= 10 else range(0)
+        begin = len("".join(part[:at]))
+        if any(match.start() <= begin < match.end() for match in _CLOCK.finditer("".join(part))):
+            gone = range(0)
         width = len(part[at]) if len(part) == longest else 0
         missing = tuple("".join([*part[:at], f"{n:0{width}d}", *part[at + 1 :]]) + PurePath(name).suffix for n in gone)
         named.append(Named(name, (number,), None, None, missing))

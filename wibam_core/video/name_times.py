@@ -8,24 +8,51 @@ together make sense.
 from __future__ import annotations
 
 import re
+import unicodedata
 from collections.abc import Sequence
 from datetime import UTC, datetime, timedelta
 from itertools import pairwise
 
-_TIME_OF_DAY = r"(\d{2})[-_.:h]?(\d{2})[-_.:m]?(\d{2})(?:[.,]?(\d{3}))?(?!\d)(Z(?![A-Za-z]))?"
-_YEAR_FIRST = re.compile(r"(?<!\d)((?:19|20)\d{2})[-_.]?(\d{2})[-_.]?(\d{2})[-_.T ]{0,3}" + _TIME_OF_DAY)
-_YEAR_LAST = re.compile(r"(?<!\d)(\d{2})[-_.](\d{2})[-_.]((?:19|20)\d{2})[-_.T ]{1,3}" + _TIME_OF_DAY)
+_HOUR = r"(\d{2}|\d(?=[-_.:h]))"
+_OFFSET = r"(Z(?![A-Za-z])|[+-](?:0\d|1[0-4])[-_.:]?(?:00|15|30|45)(?!\d))?"
+_TIME_OF_DAY = (
+    rf"{_HOUR}[-_.:h]?(\d{{2}})[-_.:m]?(\d{{2}})(?:[.,]?(\d{{3}}))?(?!\d)(?:[\s_-]?([AP])\.?M(?![A-Za-z]))?{_OFFSET}"
+)
+_BETWEEN = r"([-_.T ]{0,3}| at )"
+_YEAR_FIRST = re.compile(
+    rf"(?<!\d)((?:19|20)\d{{2}})[-_.]?(\d{{2}})[-_.]?(\d{{2}}){_BETWEEN}{_TIME_OF_DAY}", re.IGNORECASE
+)
+_YEAR_LAST = re.compile(
+    rf"(?<!\d)(\d{{2}})[-_.](\d{{2}})[-_.]((?:19|20)\d{{2}})([-_.T ]{{1,3}}| at ){_TIME_OF_DAY}", re.IGNORECASE
+)
+#: As in China, Japan and Korea: a year, a month and a day, each with its sign behind it.
+_SIGNS = re.compile(
+    r"(?<!\d)(\d{4})[年년]\s?(\d{1,2})[月월]\s?(\d{1,2})[日일][\s_-]{0,2}"
+    r"(\d{1,2})[時时点點시:](?:\s?(\d{1,2})[分분:](?:\s?(\d{1,2})[秒초]?)?)?"
+)
+_MONTHS = ("jan", "feb", "mar", "apr", "may", "jun", "jul", "aug", "sep", "oct", "nov", "dec")
+_MONTH_NAMED = re.compile(
+    rf"(?<!\d)(\d{{1,2}})[-_. ]({'|'.join(_MONTHS)})[a-z]*[-_. ]((?:19|20)\d{{2}}){_BETWEEN}{_TIME_OF_DAY}",
+    re.IGNORECASE,
+)
+#: Unix time in seconds or milliseconds, from 2010 to 2033.
+_UNIX = re.compile(r"(?<!\d)(1[3-9]\d{8}|12[6-9]\d{7})(\d{3})?(?!\d)")
+_ALL = (_YEAR_FIRST, _YEAR_LAST, _SIGNS, _MONTH_NAMED)
 
 _DAY_NS = 86_400_000_000_000
 
 
 def without_times(text: str, instead: str = "") -> str:
-    """The text with something else in the place of each date and time, and of the Z behind one that is in UTC."""
-    return _YEAR_LAST.sub(instead, _YEAR_FIRST.sub(instead, text))
+    """The text with something else in the place of each date and time, and of what is said of its zone."""
+    for pattern in _ALL:
+        text = pattern.sub(instead, text)
+    return text
 
 
 def time_in(stem: str) -> tuple[datetime, bool] | None:
-    """A date and time with the year in front, as if it were UTC, and whether a Z says that it is; None without one.
+    """A date and time with the year in front, and whether a Z or an offset says that it is UTC; None without one.
+
+    With an offset it is UTC; with nothing behind it, it is taken as if it were.
 
     Args:
         stem: a file's name without its extension, which may look like thousandths (``.264``).
@@ -86,15 +113,36 @@ def _start_ns(stem: str, *, month_first: bool) -> int | None:
     elif match := _YEAR_LAST.search(stem):
         first, second, year, *rest = match.groups()
         found = _time(year, *((first, second) if month_first else (second, first)), *rest)
+    elif match := _SIGNS.search(unicodedata.normalize("NFC", stem)):  # some systems take letters apart
+        found = _time(*match.groups()[:3], "", *match.groups()[3:], None, None, None)
+    elif match := _MONTH_NAMED.search(stem):
+        day, month, year, *rest = match.groups()
+        found = _time(year, str(_MONTHS.index(month.lower()) + 1), day, *rest)
+    elif match := _UNIX.search(stem):
+        return int(match[1]) * 1_000_000_000 + int(match[2] or 0) * 1_000_000
     else:
         return None
     return None if found is None else (found[0] - datetime.fromtimestamp(0, UTC)) // timedelta(microseconds=1) * 1000
 
 
 def _time(*groups: str | None) -> tuple[datetime, bool] | None:
-    *parts, thousandths, is_utc = groups
+    """Of year, month, day, what is between, hour, minute, second, thousandths, A or P (of AM and PM), and the zone."""
+    year, month, day, between, hour, minute, second, thousandths, half, zone = groups
+    hours = int(hour or 0)
+    if half is not None:
+        if not 1 <= hours <= 12:
+            return None
+        hours = hours % 12 + (12 if half in "pP" else 0)
     try:
-        time = datetime(*(int(part or 0) for part in parts), tzinfo=UTC)  # type: ignore[misc,arg-type]
+        parts = [int(part or 0) for part in (year, month, day, minute, second)]
+        time = datetime(*parts[:3], hours, *parts[3:], tzinfo=UTC)  # type: ignore[misc,arg-type]
     except ValueError:
         return None
-    return time + timedelta(milliseconds=int(thousandths or 0)), bool(is_utc)
+    time += timedelta(milliseconds=int(thousandths or 0))
+    # a minus may only set a number apart, but for ISO 8601, where a T stands before the time of day
+    if zone is None or (zone[0] == "-" and "T" not in (between or "").upper()):
+        return time, False
+    if zone in "zZ":
+        return time, True
+    ahead = timedelta(hours=int(zone[1:3]), minutes=int(zone[-2:]))
+    return time - ahead if zone[0] == "+" else time + ahead, True

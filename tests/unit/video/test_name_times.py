@@ -1,0 +1,103 @@
+"""Dates and times in names, as phones, screens and recorders of many countries write them."""
+
+from __future__ import annotations
+
+import unicodedata
+from datetime import UTC, datetime
+
+import pytest
+
+from wibam_core.video.chapters import in_order
+from wibam_core.video.name_times import readings_of, time_in, without_times
+
+NOON = datetime(2024, 5, 1, 12, 0, tzinfo=UTC)
+
+
+def unix_ns(text: str) -> int:
+    return int(datetime.fromisoformat(text).replace(tzinfo=UTC).timestamp()) * 10**9
+
+
+@pytest.mark.parametrize(
+    "stem",
+    [
+        "2024-05-01 12-00-00 PM",
+        "20240501_120000PM",
+        "Screen Recording 2024-05-01 at 12.00.00\u202fp.m",
+        "录像_2024年05月01日_12时00分00秒",
+        "錄影 2024年5月1日 12點00分",
+        "2024년 5월 1일 12시 00분 00초",
+        unicodedata.normalize("NFD", "2024년 5월 1일 12시"),
+        "cam 01-May-2024 12-00-00",
+        "1 May 2024 12.00.00",
+        "1714564800",
+        "cam_1714564800000",
+        "2024-05-01T14:00:00+02:00",
+        "20240501T140000+0200",
+        "20240501T070000-0500",
+        "20240501_173000+0530",
+    ],
+)
+def test_a_time_is_read_in_whatever_way_it_is_written(stem: str) -> None:
+    assert readings_of([stem]) == [(int(NOON.timestamp()) * 10**9,)]
+
+
+@pytest.mark.parametrize(
+    ("stem", "hour", "is_utc"),
+    [
+        ("20240501_120000AM", 0, False),
+        ("20240501_090000 am", 9, False),
+        ("20240501_090000 PM", 21, False),
+        ("20240501T120000+0200", 10, True),
+        ("20240501T120000-0200", 14, True),
+        ("20240501T120000Z", 12, True),
+        ("20240501_120000-0100", 12, False),  # a running number, maybe
+        ("20240501_120000_AMBER", 12, False),
+    ],
+)
+def test_halves_of_the_day_and_zones_count(stem: str, hour: int, is_utc: bool) -> None:
+    assert time_in(stem) == (datetime(2024, 5, 1, hour, tzinfo=UTC), is_utc)
+
+
+@pytest.mark.parametrize(
+    "stem", ["20240501_130000PM", "2024年13月01日_10时00分", "31 Feb 2024 10-00-00", "cam_0042", "5000000000"]
+)
+def test_what_is_no_time_is_not_read_as_one(stem: str) -> None:
+    assert not readings_of([stem])
+
+
+def test_all_of_a_time_is_taken_out_of_a_name() -> None:
+    assert without_times("cam2_20240501T140000+0200", "|") == "cam2_|"
+    assert without_times("cam2 2024-05-01 12-00-00 PM", "|") == "cam2 |"
+    assert without_times("摄像2_2024年05月01日_12时00分00秒", "|") == "摄像2_|"
+
+
+@pytest.mark.parametrize(
+    ("names", "made"),
+    [
+        (
+            ("20241027_025500.mp4", "20241027_020500.mp4", "20241027_021500.mp4"),  # set back at three
+            ("2024-10-27T00:55:00", "2024-10-27T01:05:00", "2024-10-27T01:15:00"),
+        ),
+        (
+            ("20240331_015500.mp4", "20240331_030500.mp4", "20240331_031500.mp4"),  # set forward at two
+            ("2024-03-31T00:55:00", "2024-03-31T01:05:00", "2024-03-31T01:15:00"),
+        ),
+    ],
+)
+def test_summer_time_begins_and_ends_between_files(names: tuple[str, ...], made: tuple[str, ...]) -> None:
+    begins = [unix_ns(text) for text in made]
+    found = in_order(names[::-1], begins[::-1])
+    assert [named.name for _, named in found] == list(names)
+    assert [named.starts_ns for _, named in found] == begins
+
+
+def test_files_that_were_copied_later_are_ordered_by_their_names() -> None:
+    """What says when they were made is then the time of the copy, in any order and not an hour beside."""
+    names = ["20240501_100000.mp4", "20240501_101000.mp4"]
+    begins = [unix_ns("2024-06-01T10:00:30"), unix_ns("2024-06-01T10:00:10")]
+    assert [named.name for _, named in in_order(names, begins)] == names
+
+
+@pytest.mark.parametrize("names", [("cam 10-00-00.mp4", "cam 10-08-00.mp4"), ("01.05.24.mp4", "04.05.24.mp4")])
+def test_parts_of_a_time_or_a_date_count_no_missing_files(names: tuple[str, str]) -> None:
+    assert all(not named.missing_before for _, named in in_order(names, [None, None]))
