@@ -45,9 +45,9 @@ Distortion = Annotated[tuple[Number, ...], Field(max_length=14), FailFast()]
 #: omnidirectional one (``cv2.omnidir``).
 Lens = Literal["pinhole", "fisheye", "omnidirectional"]
 
-
 #: A system may be used so far outside of where it is meant to be.
 _NEAR_DEG = 5.0
+_TO_RVEC = " Of a matrix it is cv2.Rodrigues(R), of a quaternion SciPy's Rotation.from_quat(q).as_rotvec()."
 #: What other programs, and people, call fields.
 _OTHERWISE = {
     "distortion": "dist",
@@ -288,7 +288,7 @@ class Site(_Model):
             where = ".".join(str(part) for part in first["loc"]) or "the file"
             raise SiteFileError(
                 f"site description: {where}: {first['msg']}",
-                hint="Correct this field; docs/site-format.md describes them all.",
+                hint=f"Correct it; docs/site-format.md describes them all.{_TO_RVEC if 'rvec' in where else ''}",
                 errors=[{"field": ".".join(map(str, e["loc"])), "problem": e["msg"]} for e in error.errors()[:20]],
             ) from error
         site.check()

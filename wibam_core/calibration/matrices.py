@@ -6,7 +6,7 @@ import cv2
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from wibam_core.calibration.poses import meant_by
+from wibam_core.calibration.poses import meant_by, rotation_meant_by
 from wibam_core.calibration.view import check_view, is_plausible
 from wibam_core.documents.warnings import Caution
 from wibam_core.errors import CalibrationError
@@ -73,7 +73,7 @@ def camera_from_matrices(
     camera = build_camera(K, dist, T_cam_world.inverse(), width_px, height_px, lens, xi)
     if is_plausible(camera):
         return camera
-    hint = " Or: ".join(sentence for sentence, _ in meant_by({"": camera})) or None
+    hint = " Or: ".join(sentence for sentence, _ in meant_by({"": camera})) or rotation_meant_by(camera, rvec, tvec)
     try:
         check_view(camera)
     except CalibrationError as error:

@@ -6,7 +6,8 @@ from collections.abc import Iterator, Mapping
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
+from scipy.spatial.transform import Rotation
 
 from wibam_core.calibration.view import LIKELY_HEIGHTS_M, is_plausible, roll_rad
 from wibam_core.documents.warnings import Caution
@@ -17,6 +18,8 @@ Array = NDArray[np.float64]
 
 #: A camera on a pole is level to this; a pose that is read wrongly hardly ever is.
 _LEVEL_RAD = np.radians(10.0)
+#: So many ways to read three numbers as a rotation are tried that one may come out level by chance: more is asked then.
+_EXACTLY_LEVEL_RAD = np.radians(4.0)
 #: A camera is tried at this height, m, where its own may count from elsewhere: between these. Still higher ones are
 #: told by their units.
 _POLE_M = 8.0
@@ -29,6 +32,8 @@ _FLIPPED = np.diag([1.0, -1.0, -1.0])
 #: Columns are the world's X, Y and Z (Z up) in worlds whose Y points up, and whose Y points down.
 _Y_UP = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, 1.0], [0.0, -1.0, 0.0]])
 _Y_DOWN = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, 1.0, 0.0]])
+#: From camera coordinates of OpenCV to axes of a body as ROS has them (x forward, y left, z up).
+_BODY = np.array([[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, -1.0, 0.0]])
 
 _CONVENTIONS = (
     "rvec and tvec look like camera to world: give their inverse, world to camera.",
@@ -41,6 +46,10 @@ _CONVENTIONS = (
     "and third column of R, and give the inverse, world to camera.",
     "The world's Y axis looks to point up: turn the world so that Z does.",
     "The world's Y axis looks to point down: turn the world so that Z points up.",
+    "The camera's axes look like those of ROS (x forward, y left, z up): its x right, y down and z forward are -y, -z "
+    "and x of these.",
+    "rvec and tvec look like a pose in the world with axes of ROS (x forward, y left, z up): x right, y down and z "
+    "forward are -y, -z and x of these; then give the inverse, world to camera.",
 )
 _ELSEWHERE = (
     "Heights look counted from elsewhere than the road, e.g. from the sea: with h the road's height there, add "
@@ -51,7 +60,7 @@ _ELSEWHERE = (
 def _read(given: SE3) -> Iterator[SE3]:
     """T_world_cam by each of `_CONVENTIONS`, of what was given as T_cam_world."""
     turned = given.rotation.T
-    flip, up, down = (SE3(matrix, np.zeros(3)) for matrix in (_FLIPPED, _Y_UP, _Y_DOWN))
+    flip, up, down, body = (SE3(matrix, np.zeros(3)) for matrix in (_FLIPPED, _Y_UP, _Y_DOWN, _BODY))
     yield given
     yield SE3(turned, given.translation)
     yield SE3(turned, -given.translation)
@@ -60,6 +69,46 @@ def _read(given: SE3) -> Iterator[SE3]:
     yield given @ flip
     yield (given @ up).inverse()
     yield (given @ down).inverse()
+    yield given.inverse() @ body
+    yield given @ body
+
+
+def rotation_meant_by(camera: Camera, rvec: ArrayLike, tvec: ArrayLike) -> str | None:
+    """What three numbers may be that make no level camera as a rotation vector, in a sentence; None: nothing known.
+
+    Args:
+        camera: its intrinsics count.
+        rvec: (3,) what was given as rotation vector.
+        tvec: (3,) m, as given.
+    """
+    numbers, moved = np.asarray(rvec, dtype=np.float64).reshape(3), np.asarray(tvec, dtype=np.float64).reshape(3)
+    for what, rotation in _rotations(numbers):
+        matrix = rotation.as_matrix()
+        for way, turned in (("world to camera", matrix), ("camera to world", matrix.T)):
+            for place, pose in (
+                ("", SE3(turned, moved).inverse()),
+                (", and tvec the camera's position C", SE3(turned.T, moved)),
+            ):
+                read = replace(camera, T_world_cam=pose)
+                if _is_usual(read) and (read.is_wide or abs(roll_rad(read)) <= _EXACTLY_LEVEL_RAD):
+                    return (
+                        f"rvec looks like {what}, {way}{place}: give OpenCV's rotation vector (cv2.Rodrigues of the "
+                        "matrix), and tvec = -R C, world to camera."
+                    )
+    return None
+
+
+def _rotations(numbers: Array) -> Iterator[tuple[str, Rotation]]:
+    """What three numbers say by other conventions than that of a rotation vector."""
+    for order, said in (
+        ("xyz", "roll, pitch and yaw about fixed axes"),
+        ("XYZ", "angles about X, then Y, then Z, each turned by those before"),
+        ("ZYX", "yaw, pitch and roll"),
+        ("zyx", "angles about fixed Z, Y and X axes"),
+    ):
+        yield f"{said} (Euler angles, {order!r} in SciPy)", Rotation.from_euler(order, numbers)
+    if (square := float(numbers @ numbers)) <= 1.0:
+        yield "x, y and z of a quaternion", Rotation.from_quat([*numbers, np.sqrt(1.0 - square)])
 
 
 def meant_by(cameras: Mapping[str, Camera]) -> list[tuple[str, dict[str, Camera]]]:

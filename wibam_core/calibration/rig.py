@@ -277,11 +277,22 @@ def check_overlap(rig: CameraRig) -> None:
             raise NoOverlap(
                 f"camera {waiting[0]} sees no ground that another camera sees; it stands "
                 f"{_apart_m(rig, waiting[0]):.0f} m from the nearest of them",
-                hint="At least two cameras must see the same ground; check that all calibrations use one world frame.",
+                hint="At least two cameras must see the same ground; check that all calibrations use one world frame."
+                + _doubtful_intrinsics(rig),
                 camera=waiting[0],
             )
         waiting.remove(found)
         joined.append(found)
+
+
+def _doubtful_intrinsics(rig: CameraRig) -> str:
+    """What is unusual about intrinsics, of which cameras, in a sentence with a blank before; "" without."""
+    found = {camera_id: intrinsics_cautions(camera) for camera_id, camera in rig.mounted.items()}
+    doubtful = {camera_id: cautions[0] for camera_id, cautions in found.items() if cautions}
+    if not doubtful:
+        return ""
+    first = next(iter(doubtful.values()))
+    return f" Or is it K? Of {', '.join(doubtful)} {first.message}. {first.hint}"
 
 
 def _apart_m(rig: CameraRig, camera_id: str) -> float:

@@ -2,19 +2,24 @@
 
 from __future__ import annotations
 
+import json
+
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
 from tests.builders import look_at
 from tests.unit.calibration.test_inputs import CAMERA, CONFIG, GROUND, RAISED, clicked, codes, entry, matrices, refused
 from wibam_core.calibration.rig import calibrate, solve_camera
-from wibam_core.errors import NoOverlap
+from wibam_core.errors import NoOverlap, SiteFileError
 from wibam_core.geometry.camera import Camera
 from wibam_core.geometry.se3 import SE3
 from wibam_core.site import Site, SiteCamera
 
 FLIP = SE3(np.diag([1.0, -1.0, -1.0]), np.zeros(3))
 Y_UP = SE3(np.array([[1.0, 0.0, 0.0], [0.0, 0.0, 1.0], [0.0, -1.0, 0.0]]), np.zeros(3))
+#: From camera coordinates to x forward, y left, z up.
+BODY = np.array([[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, -1.0, 0.0]])
 TWO = (look_at((-18.0, -14.0, 8.0), focal_px=700.0), look_at((17.0, -15.0, 7.5), focal_px=700.0))
 
 
@@ -33,6 +38,59 @@ def pair(poses: list[SE3]) -> Site:
 )
 def test_poses_with_other_axes_are_refused_by_name(given: SE3, words: str) -> None:
     assert words in refused(matrices(*given.to_rvec_tvec()))
+
+
+@pytest.mark.parametrize(
+    ("given", "words"),
+    [
+        (SE3(BODY, np.zeros(3)) @ CAMERA.T_cam_world, "like those of ROS"),
+        (CAMERA.T_world_cam @ SE3(BODY, np.zeros(3)).inverse(), "pose in the world with axes of ROS"),
+    ],
+)
+def test_poses_of_a_robots_body_are_refused_by_name(given: SE3, words: str) -> None:
+    assert words in refused(matrices(*given.to_rvec_tvec()))
+
+
+@pytest.mark.parametrize("order", ["xyz", "XYZ", "zyx", "ZYX"])
+def test_angles_about_axes_are_told_from_a_rotation_vector(order: str) -> None:
+    turned = Rotation.from_matrix(CAMERA.T_cam_world.rotation)
+    said = refused(matrices(turned.inv().as_euler(order), CAMERA.centre_m))
+    assert f"{order!r} in SciPy), camera to world, and tvec the camera's position C:" in said
+    given = matrices(turned.as_euler(order), CAMERA.T_cam_world.translation)
+    if order in ("zyx", "ZYX"):
+        assert f"{order!r} in SciPy), world to camera:" in refused(given)
+    else:  # a camera could be held so
+        [caution] = [one for one in solve_camera(given, CONFIG).cautions if one.code == "rolled_camera"]
+        assert "not three angles" in caution.hint
+
+
+def test_a_part_of_a_quaternion_is_told_from_a_rotation_vector() -> None:
+    quaternion = Rotation.from_matrix(CAMERA.T_cam_world.rotation).as_quat(canonical=True)
+    assert "x, y and z of a quaternion, world to camera" in refused(
+        matrices(quaternion[:3], CAMERA.T_cam_world.translation)
+    )
+
+
+@pytest.mark.parametrize("rvec", [[0.1, 0.2, 0.3, 0.9], np.eye(3).tolist()])
+def test_a_quaternion_or_a_matrix_as_rotation_vector_is_refused_with_how_to_turn_it(rvec: list[object]) -> None:
+    site = pair([TWO[0].T_cam_world]).model_dump(mode="json")
+    site["cameras"][0]["calibration"]["rvec"] = rvec
+    with pytest.raises(SiteFileError) as caught:
+        Site.parse(json.dumps(site))
+    assert "cv2.Rodrigues" in caught.value.hint and "from_quat" in caught.value.hint
+
+
+def test_cameras_that_share_no_ground_are_refused_with_what_is_odd_about_their_intrinsics() -> None:
+    """K of a sensor's full size, of which the recording has a third."""
+    site = pair([camera.T_cam_world for camera in TWO])
+    K = ((2100.0, 0.0, 950.0), (0.0, 2100.0, 530.0), (0.0, 0.0, 1.0))
+    cameras = [
+        camera.model_copy(update={"calibration": camera.calibration.model_copy(update={"K": K})})
+        for camera in site.cameras
+    ]
+    with pytest.raises(NoOverlap) as caught:
+        calibrate(site.model_copy(update={"cameras": tuple(cameras)}), CONFIG)
+    assert "Of c0, c1 the principal point (950, 530)" in caught.value.hint
 
 
 @pytest.mark.parametrize(
