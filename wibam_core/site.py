@@ -15,11 +15,11 @@ from pathlib import Path
 from typing import Annotated, Any, Literal
 
 import pydantic
-from pydantic import BaseModel, BeforeValidator, ConfigDict, FailFast, Field
+from pydantic import AfterValidator, BaseModel, BeforeValidator, ConfigDict, FailFast, Field
 from pydantic_core import PydanticCustomError
 
 from wibam_core.errors import SiteFileError
-from wibam_core.text import NotJson, NotUnicode, decode_text, read_json
+from wibam_core.text import NotJson, NotUnicode, decode_text, nfc, read_json
 
 _ID = r"^[A-Za-z0-9][A-Za-z0-9_-]{0,63}$"
 
@@ -182,7 +182,7 @@ class ViewDirection(_Model):
 
 
 #: A name that is the last part of a path, on any system.
-RecordingName = Annotated[str, Field(min_length=1, max_length=255, pattern=r"^[^/\\\x00-\x1f\x7f]*$")]
+RecordingName = Annotated[str, Field(max_length=255, pattern=r"^[^/\\\x00-\x1f\x7f]+$"), AfterValidator(nfc)]
 
 
 class SiteCamera(_Model):

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import codecs
 import json
+import unicodedata
 from typing import Any
 
 #: UTF-32's little-endian mark begins with UTF-16's, so that it is asked for first.
@@ -16,6 +17,11 @@ _MARKS = (
 )
 #: How much of a file shows how it is encoded where it has no mark.
 _LOOKED_AT = 512
+
+
+def nfc(text: str) -> str:
+    """The text in Unicode's composed form (NFC): macOS keeps names of files with accents apart from their letters."""
+    return unicodedata.normalize("NFC", text)
 
 
 class NotUnicode(ValueError):

@@ -22,6 +22,7 @@ from wibam_core.adapters.site_store import UploadRequest
 from wibam_core.adapters.uploads import CHECKSUMS, Checksum, Piece
 from wibam_core.errors import InputError, UnknownChecksum, WibamError
 from wibam_core.jobs.records import Purpose, Upload
+from wibam_core.text import nfc
 
 _BLOCK = 1024 * 1024
 _IDLE_S = 30.0  # a connection that brings no byte for so long is given up: it holds the upload
@@ -253,7 +254,7 @@ def _request(length: int, header: str) -> UploadRequest:
         raise InputError("Upload-Metadata: a value has a NUL in it", hint="Leave it out.")
     if "site" not in metadata:
         raise InputError("Upload-Metadata names no site", hint="Send the site's id as 'site'.")
-    camera, filename = metadata.get("camera", ""), metadata.get("filename", "")
+    camera, filename = metadata.get("camera", ""), nfc(metadata.get("filename", ""))
     started_ns = parse_time(metadata["started_at"]) if "started_at" in metadata else None
     return UploadRequest(metadata["site"], purpose, camera, filename, length, header, started_ns)
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -51,6 +52,22 @@ def test_a_file_takes_the_place_of_the_one_of_its_name_alone(api: LiveApi, clien
     api.upload(sent, b"anew", camera="cam2", filename="GX020001.MP4")
     after = {file.filename: file.sha256 for file in client.files(sent)}
     assert {name for name in before if before[name] != after[name]} == {"GX020001.MP4"}
+
+
+def test_a_name_whose_accents_are_kept_apart_is_that_of_the_list(
+    api: LiveApi, client: WibamClient, tmp_path: Path
+) -> None:
+    site = json.loads(site_of(corner_rig(2)).model_dump_json())
+    site["cameras"][1]["recordings"] = ["Süd 1.mp4", "Süd 2.mp4"]
+    (tmp_path / "site.json").write_text(json.dumps(site))
+    for name in ("cam1.mp4", "cam2/Su\u0308d 1.mp4", "cam2/Süd 2.mp4"):
+        (tmp_path / "recordings" / name).parent.mkdir(parents=True, exist_ok=True)
+        (tmp_path / "recordings" / name).write_bytes(name.encode())
+    sent = send_site(client, SiteFolder.load(tmp_path), Console(quiet=True))
+    assert names(client, sent) == ["Süd 1.mp4", "Süd 2.mp4"]
+    api.upload(sent, b"anew", camera="cam2", filename="Su\u0308d 2.mp4")
+    assert names(client, sent) == ["Süd 1.mp4", "Süd 2.mp4"]
+    client.create_job(sent)
 
 
 def test_a_file_that_the_site_does_not_list_is_refused_by_name(api: LiveApi, sent: str) -> None:

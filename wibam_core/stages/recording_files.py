@@ -9,15 +9,17 @@ from pathlib import Path
 
 from wibam_core.errors import MissingCamera, SiteFileError
 from wibam_core.site import SiteCamera
+from wibam_core.text import nfc
 from wibam_core.video.recording import Recording, RecordingFile
 
 _PICTURES = (".jpg", ".jpeg", ".png", ".bmp", ".tif", ".tiff", ".webp", ".dng", ".heic")
-#: What cameras write beside their recordings: thumbnails, previews of low resolution, positions, sound; and what people
-#: and systems put there.
+#: What cameras write beside their recordings: thumbnails, previews of low resolution, positions, subtitles, sound and
+#: lists of their own; and what people and systems put there.
 _BESIDE = (
     *_PICTURES,
-    *(".thm", ".lrv", ".lrf", ".srt", ".gpx", ".wav", ".mp3", ".aac", ".txt", ".md", ".log"),
-    *(".json", ".csv", ".xml", ".db", ".ini"),
+    *(".thm", ".lrv", ".lrf", ".gpx", ".kml", ".kmz", ".fit", ".nmea", ".wav", ".mp3", ".m4a", ".aac", ".flac"),
+    *(".srt", ".vtt", ".ass", ".ssa", ".sub", ".idx", ".cpi", ".mpl", ".bdm", ".ctg", ".sav"),
+    *(".txt", ".md", ".log", ".json", ".csv", ".xml", ".db", ".ini", ".html", ".pdf", ".md5", ".sha256"),
 )
 
 
@@ -90,7 +92,7 @@ def unclaimed(folder: Path, cameras: Sequence[SiteCamera]) -> tuple[str, ...]:
         path.name
         for path in found
         if not _is_beside(path)
-        and path.name not in claimed
+        and nfc(path.name) not in claimed
         and not any(path.is_file() and path.name.startswith(f"{camera.id}.") for camera in cameras)
     )
 
@@ -124,9 +126,10 @@ def _is_beside(path: Path) -> bool:
 
 
 def _listed(folder: Path, camera_id: str, name: str) -> RecordingFile:
-    for path in (folder / camera_id / name, folder / name):
-        if path.is_file():
-            return RecordingFile.at(path)
+    for inside in (folder / camera_id, folder):
+        for path in inside.iterdir() if inside.is_dir() else ():
+            if nfc(path.name) == name and path.is_file():
+                return RecordingFile(path, name)
     raise MissingCamera(
         f"{name}, a recording of camera {camera_id}, is not there",
         hint=f"Put it into recordings/{camera_id}/, or take it off the site's list.",

@@ -19,6 +19,8 @@ _NAMED = 5
 #: A picture may stay the same for so long without a word, s; fewer pictures a second than this are worth one.
 _LONGEST_STILL_S = 10.0
 _FEW_FPS = 4.0
+#: Hardly any camera that films traffic takes more.
+_MANY_FPS = 250.0
 
 
 def cautions_of(info: VideoInfo) -> list[Caution]:
@@ -160,6 +162,15 @@ def _of_time(info: VideoInfo) -> Iterator[Caution]:
             code="few_pictures",
             message=f"it has {info.fps:.2g} pictures a second, between which vehicles go many metres",
             hint=f"Record {_FEW_FPS:g} and more a second: fewer make tracks, speeds and conflicts inexact.",
+            details={"fps": info.fps},
+        )
+    if info.fps > _MANY_FPS:
+        yield Caution(
+            code="many_pictures",
+            message=f"by its time stamps it has {info.fps:.0f} pictures a second and lasts for "
+            f"{(info.last_ns - info.first_ns) / 1e9:.1f} s",
+            hint="Does it last so long in a player? If not, the stamps are in another unit than the file says: export "
+            "the recording anew with the camera's rate.",
             details={"fps": info.fps},
         )
     captured = info.captured_fps

@@ -8,10 +8,11 @@ together make sense.
 from __future__ import annotations
 
 import re
-import unicodedata
 from collections.abc import Sequence
 from datetime import UTC, datetime, timedelta
 from itertools import pairwise
+
+from wibam_core.text import nfc
 
 _HOUR = r"(\d{2}|\d(?=[-_.:h]))"
 _OFFSET = r"(Z(?![A-Za-z])|[+-](?:0\d|1[0-4])[-_.:]?(?:00|15|30|45)(?!\d))?"
@@ -113,7 +114,7 @@ def _start_ns(stem: str, *, month_first: bool) -> int | None:
     elif match := _YEAR_LAST.search(stem):
         first, second, year, *rest = match.groups()
         found = _time(year, *((first, second) if month_first else (second, first)), *rest)
-    elif match := _SIGNS.search(unicodedata.normalize("NFC", stem)):  # some systems take letters apart
+    elif match := _SIGNS.search(nfc(stem)):  # some systems take letters apart
         found = _time(*match.groups()[:3], "", *match.groups()[3:], None, None, None)
     elif match := _MONTH_NAMED.search(stem):
         day, month, year, *rest = match.groups()

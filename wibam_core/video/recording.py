@@ -5,6 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 from pathlib import Path
 
+from wibam_core.text import nfc
+
 
 @dataclass(frozen=True)
 class RecordingFile:
@@ -23,7 +25,7 @@ class RecordingFile:
     @classmethod
     def at(cls, path: Path) -> RecordingFile:
         """A file that lies under its own name."""
-        return cls(path, path.name)
+        return cls(path, nfc(path.name))
 
 
 @dataclass(frozen=True)

@@ -2,6 +2,7 @@
 
 import json
 import re
+import unicodedata
 from pathlib import Path
 
 import pytest
@@ -10,7 +11,7 @@ from tests.builders import corner_rig, site_of
 from wibam_core.artifacts.access import MANIFEST
 from wibam_core.errors import MissingCamera, SiteFileError
 from wibam_core.stages.graph import STAGES
-from wibam_core.stages.recording_files import digest_of
+from wibam_core.stages.recording_files import digest_of, unclaimed
 from wibam_core.stages.runner import SiteFolder
 
 
@@ -47,6 +48,16 @@ def test_a_list_chooses_files_beside_each_other_or_in_the_camera_s_folder(tmp_pa
     assert names_of(folder, "cam2") == ["a.mp4", "b.mp4"]
 
 
+@pytest.mark.parametrize("form", ["NFC", "NFD"])
+@pytest.mark.parametrize("said", ["NFC", "NFD"])
+def test_a_list_means_a_file_whose_letters_and_accents_are_kept_apart(tmp_path: Path, form: str, said: str) -> None:
+    names = ["Straße Süd 1.mp4", "Straße Süd 2.mp4"]
+    there, listed = ([unicodedata.normalize(kind, name) for name in names] for kind in (form, said))
+    folder = folder_with(tmp_path, "cam1.mp4", f"cam2/{there[0]}", there[1], cam2=listed)
+    assert names_of(folder, "cam2") == names
+    assert not unclaimed(tmp_path / "recordings", folder.site.cameras)
+
+
 def test_a_listed_file_that_is_not_there_is_named(tmp_path: Path) -> None:
     with pytest.raises(MissingCamera, match=r"b\.mp4, a recording of camera cam2, is not there"):
         folder_with(tmp_path, "cam1.mp4", "cam2/a.mp4", cam2=["b.mp4", "a.mp4"])
@@ -67,7 +78,16 @@ def test_a_folder_without_recordings_joins_no_files_beside_it(tmp_path: Path, be
 
 
 def test_what_a_camera_writes_beside_its_only_recording_is_passed_over(tmp_path: Path) -> None:
-    folder = folder_with(tmp_path, "cam1.MP4", "cam1.SRT", "cam1.LRV", "cam1.v2.jpg", "cam2.north side.v2.mkv")
+    folder = folder_with(
+        tmp_path,
+        "cam1.MP4",
+        "cam1.SRT",
+        "cam1.LRV",
+        "cam1.v2.jpg",
+        "cam1.en.vtt",
+        "cam1.NMEA",
+        "cam2.north side.v2.mkv",
+    )
     assert (names_of(folder, "cam1"), names_of(folder, "cam2")) == (["cam1.MP4"], ["cam2.north side.v2.mkv"])
 
 

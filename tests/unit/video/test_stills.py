@@ -44,3 +44,8 @@ def test_an_empty_road_is_no_frozen_picture(tmp_path: Path) -> None:
 
 def test_few_pictures_a_second_are_said(tmp_path: Path) -> None:
     assert [c.code for c in cautions_of(probe(recorded(tmp_path / "a.mp4", scene(20, 3.0), fps=2)))] == ["few_pictures"]
+
+
+def test_so_many_pictures_a_second_that_stamps_look_to_be_in_another_unit_are_said(tmp_path: Path) -> None:
+    [caution] = cautions_of(probe(recorded(tmp_path / "a.mp4", scene(90, 3.0), fps=750)))
+    assert caution.code == "many_pictures" and "lasts for 0.1 s" in caution.message
