@@ -10,6 +10,8 @@ export OMP_NUM_THREADS ?=
 ifeq ($(OMP_NUM_THREADS),)
 unexport OMP_NUM_THREADS
 endif
+# Compiled code is kept, whatever the environment says: else each of many processes compiles all of it anew.
+unexport PYTHONDONTWRITEBYTECODE
 
 .DEFAULT_GOAL := help
 
@@ -21,6 +23,7 @@ $(READY): pyproject.toml constraints.txt
 	$(PYTHON) -m venv $(VENV)
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check -c constraints.txt torch
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check -c constraints.txt -e '.[dev]'
+	$(BIN)/python -m compileall -q -j 0 api worker wibam_core
 	@touch $@
 
 setup: $(READY) ## make the virtual environment and install everything into it
@@ -31,15 +34,29 @@ demo: $(READY) ## record a simulated intersection, upload it, fine-tune on it an
 serve: $(READY) ## keep the service up for your own footage, on this machine alone
 	$(BIN)/wibam serve
 
-test: $(READY) ## lint, check types and import directions, run the tests without those of whole services and browsers
+test: lint ## lint, check types and import directions, run the tests without those of whole services and browsers
+	$(MAKE) --jobs=2 types quick-tests
+
+test-all: lint ## the same with the tests of whole services and browsers, too
+	$(MAKE) --jobs=2 types all-tests
+
+lint: $(READY)
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
 	$(BIN)/lint-imports
-	$(BIN)/mypy
-	$(BIN)/python -m pytest -n 2 -m "not end_to_end"
 
-test-all: test ## and run the tests of whole services and browsers, too
-	$(BIN)/python -m pytest -n 2 -m end_to_end
+# beside the tests: it takes one core for long
+types: $(READY)
+	$(BIN)/mypy
+
+# who is idle takes tests over from the other, so that both end together
+PYTEST := $(BIN)/python -m pytest -n 2 --dist worksteal
+
+quick-tests: $(READY)
+	$(PYTEST) -m "not end_to_end"
+
+all-tests: $(READY)
+	$(PYTEST)
 
 READERS := build/readers
 $(READERS)/.ready: tests/readers/requirements.txt
@@ -74,4 +91,4 @@ weights: $(READY) ## train the bundled networks again from simulated images (hou
 clean: ## remove what was built; the virtual environment stays
 	rm -rf build .mypy_cache .ruff_cache .pytest_cache .import_linter_cache
 
-.PHONY: help setup demo serve test test-all test-readers fix weights clean
+.PHONY: help setup demo serve test test-all lint types quick-tests all-tests test-readers mutants fix weights clean

@@ -30,10 +30,18 @@ _END_TO_END = (ROOT / "tests" / "browser", ROOT / "tests" / "integration")
 
 @pytest.hookimpl(tryfirst=True)
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """Mark whole services and browsers, before `-m` chooses."""
+    """Mark whole services and browsers, before `-m` chooses, and begin with them: none is left alone at the end."""
     for item in items:
         if any(item.path.is_relative_to(folder) for folder in _END_TO_END):
             item.add_marker(pytest.mark.end_to_end)
+    items.sort(key=_how_soon)
+
+
+def _how_soon(item: pytest.Item) -> int:
+    """Those of a module stay together, since they share what they start."""
+    if item.get_closest_marker("end_to_end") is None:
+        return 2
+    return 1 if item.get_closest_marker("slow") is None else 0
 
 
 @pytest.fixture(scope="session")

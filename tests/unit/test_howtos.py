@@ -63,15 +63,15 @@ def steps(howto: Path) -> Iterator[Step]:
 
 
 def copy_of_the_project(target: Path) -> Path:
-    """Code is copied, since steps change it; all else is linked."""
+    """Code is copied, since steps change it; all else is linked. What is compiled is known by dates."""
 
     def copy(source: str, to: str) -> None:
         if source.endswith(".py"):
-            shutil.copyfile(source, to)
+            shutil.copy2(source, to)
         else:
             Path(to).symlink_to(source)
 
-    without_tests = shutil.ignore_patterns("__pycache__", "unit", "contract", "browser", "integration", "readers")
+    without_tests = shutil.ignore_patterns("unit", "contract", "browser", "integration", "readers")
     for folder in ("wibam_core", "tests"):
         shutil.copytree(ROOT / folder, target / folder, copy_function=copy, ignore=without_tests)
     shutil.copyfile(ROOT / "pyproject.toml", target / "pyproject.toml")
