@@ -7,9 +7,10 @@ from pathlib import Path
 
 import pytest
 
+from tests.databases import migrated
 from tests.postgres import postgres_database
 from tests.unit.adapters.world import World
-from wibam_core.adapters.database import Database, sqlite_url
+from wibam_core.adapters.database import Database
 from wibam_core.adapters.models import Base
 
 
@@ -32,8 +33,7 @@ def database(request: pytest.FixtureRequest, tmp_path: Path) -> Iterator[Databas
                 session.execute(table.delete())
         yield database
         return
-    database = Database(sqlite_url(tmp_path / "wibam.db"))
-    database.migrate()
+    database = migrated(tmp_path / "wibam.db")
     yield database
     database.close()
 

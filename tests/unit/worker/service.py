@@ -11,7 +11,7 @@ from pathlib import Path
 import pytest
 
 from tests.builders import site_of
-from wibam_core.adapters.database import Database, sqlite_url
+from tests.databases import migrated
 from wibam_core.adapters.files import DataFolder
 from wibam_core.adapters.job_rows import StageKey
 from wibam_core.adapters.job_store import JobStore
@@ -41,8 +41,7 @@ class Service:
     policy: LeasePolicy = POLICY
 
     def __post_init__(self) -> None:
-        self.database = Database(sqlite_url(self.root / "wibam.db"))
-        self.database.migrate()
+        self.database = migrated(self.root / "wibam.db")
         self.folder = DataFolder(self.root)
         self.sites = SiteStore(self.database)
         self.jobs = JobStore(self.database)

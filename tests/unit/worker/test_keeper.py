@@ -12,7 +12,8 @@ import sqlalchemy
 from sqlalchemy import select
 
 from tests.builders import corner_rig, site_of
-from wibam_core.adapters.database import Database, sqlite_url
+from tests.databases import migrated
+from wibam_core.adapters.database import Database
 from wibam_core.adapters.job_rows import StageKey
 from wibam_core.adapters.job_store import JobStore
 from wibam_core.adapters.lease_store import LeaseStore
@@ -44,9 +45,7 @@ def clock() -> Clock:
 
 @pytest.fixture
 def database(tmp_path: Path) -> Database:
-    database = Database(sqlite_url(tmp_path / "wibam.db"))
-    database.migrate()
-    return database
+    return migrated(tmp_path / "wibam.db")
 
 
 @pytest.fixture
