@@ -16,7 +16,7 @@ _SERVER = os.environ.get("WIBAM_TEST_POSTGRES_URL", "postgresql+psycopg://postgr
 @contextmanager
 def postgres_database() -> Iterator[str]:
     """The URL of an empty database, which is dropped at the end; the test is skipped where no server answers."""
-    admin = sqlalchemy.create_engine(_SERVER, isolation_level="AUTOCOMMIT", connect_args={"connect_timeout": 2})
+    admin = sqlalchemy.create_engine(_SERVER, isolation_level="AUTOCOMMIT", connect_args={"connect_timeout": 120})
     name = f"wibam_test_{secrets.token_hex(4)}"
     try:
         with admin.connect() as connection:

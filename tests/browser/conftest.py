@@ -20,6 +20,8 @@ if TYPE_CHECKING:
 
 #: What Chromium and those made of it are called where they are installed.
 BROWSERS = ("chromium", "chromium-browser", "google-chrome")
+#: How long a browser or a page may take on a busy machine, ms.
+PATIENCE_MS = 300_000
 #: Where pictures of pages go, for a person to look at.
 SCREENSHOTS = Path(__file__).resolve().parents[2] / "build" / "screenshots"
 
@@ -74,7 +76,9 @@ def playwright_browser(chromium: str) -> Iterator[Browser]:
     """One browser for the tests of a module: while it is open, its event loop is the thread's."""
     sync_api = pytest.importorskip("playwright.sync_api", reason="playwright is not installed: make setup")
     with sync_api.sync_playwright() as playwright:
-        browser = playwright.chromium.launch(executable_path=chromium, args=["--no-sandbox", "--disable-dev-shm-usage"])
+        browser = playwright.chromium.launch(
+            executable_path=chromium, args=["--no-sandbox", "--disable-dev-shm-usage"], timeout=PATIENCE_MS
+        )
         yield browser
         browser.close()
 
@@ -126,7 +130,7 @@ def visit(browser: Browser, url: str, **options: Any) -> Iterator[Visit]:
     """A tab of its own, with its own cookies."""
     with browser.new_context(viewport={"width": 1280, "height": 860}, **options) as context:
         page = context.new_page()
-        page.set_default_timeout(300_000)
+        page.set_default_timeout(PATIENCE_MS)
         found = Visit(page, url)
         page.on("console", lambda m: found.complaints.append(m.text) if m.type in ("error", "warning") else None)
         page.on("pageerror", lambda error: found.complaints.append(str(error)))

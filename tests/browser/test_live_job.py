@@ -41,8 +41,8 @@ def test_a_job_is_watched_until_it_ends_and_its_failure_says_what_to_do(
         page.get_by_role("button", name="Start").click()
         page.get_by_role("heading", name="no lights").wait_for()
         # without a reload: the recordings are checked, and no light changes in noise
-        page.locator("[data-stage=preflight] .state.succeeded").wait_for(timeout=60_000)
-        page.locator("[data-stage=sync] .state.failed").wait_for(timeout=60_000)
+        page.locator("[data-stage=preflight] .state.succeeded").wait_for()
+        page.locator("[data-stage=sync] .state.failed").wait_for()
         failure = page.locator("#failure .message")
         failure.wait_for()
         assert "sync · " in failure.inner_text() and "overlap" in failure.inner_text()

@@ -140,7 +140,7 @@ def calibrate(page: Any, camera: Camera, signals: list[Any]) -> None:
         page.mouse.up()
         page.get_by_label(f"Id of region {number + 1}").fill(signal.id)
         page.keyboard.press("Tab")
-    page.locator("#signals canvas.strip").nth(len(signals) - 1).wait_for(timeout=120_000)  # the states are seen at once
+    page.locator("#signals canvas.strip").nth(len(signals) - 1).wait_for()  # the states are seen at once
     page.get_by_role("button", name="Save").click()
     page.get_by_text("saved", exact=True).wait_for()
 
@@ -162,8 +162,8 @@ def test_from_recordings_to_a_reviewed_table_and_a_video(
         page.keyboard.press("Enter")
         page.wait_for_url(re.compile("/sites/site_"))
         page.locator("input#files").set_input_files(recordings)
-        page.locator("#queue li", has_text="done").nth(len(recordings) - 1).wait_for(timeout=120_000)
-        page.get_by_text("448 × 252 px").nth(len(recordings) - 1).wait_for(timeout=120_000)
+        page.locator("#queue li", has_text="done").nth(len(recordings) - 1).wait_for()
+        page.get_by_text("448 × 252 px").nth(len(recordings) - 1).wait_for()
         for number, (camera, one) in enumerate(zip(described.cameras, rig.values(), strict=True)):
             page.get_by_role("link", name="Calibrate and signals").nth(number).click()
             page.get_by_role("heading", name=f"Camera {camera.id}").wait_for()
@@ -234,7 +234,7 @@ def test_from_recordings_to_a_reviewed_table_and_a_video(
         page.get_by_label("Clip to, s").fill("4")
         page.get_by_label("Width").select_option("960")
         page.get_by_role("button", name="Render").click()
-        page.get_by_role("link", name=re.compile("^Download the clip")).wait_for(timeout=120_000)
+        page.get_by_role("link", name=re.compile("^Download the clip")).wait_for()
         assert taken(page, "link", re.compile("^Download the clip"))[4:8] == b"ftyp"
         tabs.get_by_role("link", name="Conflicts").click()
         page.get_by_role("button", name=re.compile(r"^Conflict \d+: confirmed")).first.click()

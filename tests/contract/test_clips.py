@@ -87,7 +87,7 @@ def test_other_jobs_and_jobs_without_frames_are_refused(api: LiveApi, job: str) 
 def test_a_shared_link_shows_clips_and_makes_none(api: LiveApi, job: str) -> None:
     asked = api.http.post(f"/v1/jobs/{job}/clips", json=BODY).json()["id"]
     link = api.http.post(f"/v1/jobs/{job}/share-link", json={}).json()["url"]
-    with httpx.Client(base_url=api.url, follow_redirects=True) as visitor:
+    with httpx.Client(base_url=api.url, follow_redirects=True, timeout=300) as visitor:
         visitor.get(link)
         assert visitor.get(f"/v1/jobs/{job}/clips/{asked}").status_code == 200
         assert visitor.post(f"/v1/jobs/{job}/clips", json=BODY, headers={"X-Wibam-Page": "1"}).status_code == 401

@@ -219,7 +219,7 @@ class TestSlowService:
 
         monkeypatch.setattr(api.services.uploads.digests, "take", lambda upload: None)  # as after a restart
         monkeypatch.setattr(UploadFile, "read_sha256", slowly)
-        with WibamClient(api.url, TOKEN, timeout_s=0.5, patience_s=0.0) as impatient:
+        with WibamClient(api.url, TOKEN, timeout_s=2.0, patience_s=0.0) as impatient:
             impatient.upload_recording(site, "cam1", recording)
         assert len(refused) > 20
         assert stored_digest(client, site, "cam1") == hashlib.sha256(DATA).hexdigest()

@@ -166,7 +166,7 @@ class TestRequestIds:
         assert other.headers["X-Request-ID"] not in ("", "a b\tc")
 
     def test_who_comes_without_a_token_learns_it_too(self, api: LiveApi) -> None:
-        answer = httpx.get(f"{api.url}/v1/sites")
+        answer = httpx.get(f"{api.url}/v1/sites", timeout=300)
         assert answer.status_code == 401
         assert answer.headers["X-Request-ID"] == answer.json()["request_id"]
 

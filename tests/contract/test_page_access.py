@@ -17,7 +17,7 @@ OURS = {"X-Wibam-Page": "1"}
 @pytest.fixture
 def browser(api: LiveApi) -> httpx.Client:
     """Keeps cookies as a browser does; it has not signed in."""
-    return httpx.Client(base_url=api.url)
+    return httpx.Client(base_url=api.url, timeout=300)
 
 
 @pytest.fixture

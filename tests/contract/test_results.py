@@ -197,7 +197,9 @@ class TestFiles:
     )
     def test_only_what_the_stage_wrote(self, api: LiveApi, job: str, name: str) -> None:
         response = httpx.get(
-            f"{api.url}/v1/jobs/{job}/artifacts/evaluate/{name}", headers={"Authorization": f"Bearer {TOKEN}"}
+            f"{api.url}/v1/jobs/{job}/artifacts/evaluate/{name}",
+            headers={"Authorization": f"Bearer {TOKEN}"},
+            timeout=300,
         )
         assert response.status_code == 404
 
@@ -218,9 +220,9 @@ class TestFiles:
 class TestReport:
     def test_needs_the_token_or_a_link(self, api: LiveApi, job: str) -> None:
         assert api.http.get(f"/v1/jobs/{job}/report").text == "<h1>report</h1>"
-        assert httpx.get(f"{api.url}/v1/jobs/{job}/report").status_code == 401
+        assert httpx.get(f"{api.url}/v1/jobs/{job}/report", timeout=300).status_code == 401
         link = api.http.get(f"/v1/jobs/{job}/report-link").json()["url"]
-        response = httpx.get(api.url + link)
+        response = httpx.get(api.url + link, timeout=300)
         assert response.text == "<h1>report</h1>"
         assert "sandbox" in response.headers["content-security-policy"]
 
@@ -234,8 +236,8 @@ class TestReport:
             (link.path, {**values, "signature": "0" * 64}),
             (link.path, {**values, "signature": "é"}),
         ):
-            assert httpx.get(api.url + path, params=params).status_code == 401
-        assert httpx.get(api.url + link.path).status_code == 422
+            assert httpx.get(api.url + path, params=params, timeout=300).status_code == 401
+        assert httpx.get(api.url + link.path, timeout=300).status_code == 422
 
 
 class TestTracksInLittleSpace:
@@ -311,7 +313,7 @@ class TestClient:
         assert client.download_tracks(job, tmp_path / "t.csv", "csv").read_text().startswith('"time_ns"')
         assert "states" in client.download_tracks(job, tmp_path / "t.json", "json").read_text()
         assert client.download_report(job, tmp_path / "r.html").read_text() == "<h1>report</h1>"
-        assert httpx.get(client.report_url(job)).text == "<h1>report</h1>"
+        assert httpx.get(client.report_url(job), timeout=300).text == "<h1>report</h1>"
         for item in client.artifacts(job):
             assert client.download_artifact(job, item.id, tmp_path / "a").stat().st_size == item.size_bytes
         view = client.wait(job)

@@ -52,14 +52,14 @@ class TestToken:
         assert response.headers["www-authenticate"] == "Bearer"
 
     def test_not_in_the_address(self, api: LiveApi) -> None:
-        assert httpx.get(f"{api.url}/v1/sites?token=a-token-for-tests").status_code == 401
+        assert httpx.get(f"{api.url}/v1/sites?token=a-token-for-tests", timeout=300).status_code == 401
 
     def test_health_and_documentation_are_open(self, api: LiveApi) -> None:
         for path in ("/healthz", "/version", "/openapi.json", "/docs"):
-            assert httpx.get(api.url + path, timeout=60).status_code == 200
+            assert httpx.get(api.url + path, timeout=300).status_code == 200
 
     def test_readiness_names_what_is_missing(self, api: LiveApi) -> None:
-        body = assert_problem(httpx.get(f"{api.url}/readyz"), 503, "service_unavailable")
+        body = assert_problem(httpx.get(f"{api.url}/readyz", timeout=300), 503, "service_unavailable")
         assert "broker" in body["detail"]
 
 

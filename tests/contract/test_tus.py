@@ -182,7 +182,7 @@ class TestRefusals:
         assert response.status_code == 423
         assert response.json()["code"] == "locked"
         second_done.set()
-        writer.join(60)
+        writer.join(600)
         assert statuses == [204]
         assert stored_bytes(api, path) == DATA
 
@@ -233,7 +233,7 @@ class TestRefusals:
     def test_refusals_speak_tus_too(self, api: LiveApi, site: str) -> None:
         path = begin(api, site)
         for status, response in (
-            (401, httpx.post(f"{api.url}/v1/uploads")),
+            (401, httpx.post(f"{api.url}/v1/uploads", timeout=300)),
             (404, api.http.head("/v1/uploads/file_0000000000000000", headers=TUS)),
             (409, api.send(path, 5, DATA)),
             (412, api.http.delete(path)),

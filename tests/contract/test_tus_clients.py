@@ -96,7 +96,7 @@ class TestOtherOrigins:
         begun = open_api.begin(open_api.site(), 10, extra={"Origin": ORIGIN})
         shown = begun.headers["Access-Control-Expose-Headers"]
         assert all(name in shown for name in ("Location", "Upload-Offset", "Tus-Resumable"))
-        wrong = httpx.get(f"{open_api.url}/v1/jobs", headers={"Origin": ORIGIN})
+        wrong = httpx.get(f"{open_api.url}/v1/jobs", headers={"Origin": ORIGIN}, timeout=300)
         assert wrong.status_code == 401 and wrong.headers["Access-Control-Allow-Origin"] == ORIGIN
 
     def test_pages_of_others_may_not(self, open_api: LiveApi, api: LiveApi) -> None:

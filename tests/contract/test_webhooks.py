@@ -115,5 +115,5 @@ def test_a_key_that_only_reads_makes_and_sees_none(api: LiveApi) -> None:
     key = api.http.post("/v1/keys", json={"name": "reader", "scopes": ["read"]}).json()["secret"]
     headers = {"Authorization": f"Bearer {key}"}
     body = {"url": "https://example.org"}
-    assert httpx.post(f"{api.url}/v1/webhooks", json=body, headers=headers).status_code == 403
-    assert httpx.get(f"{api.url}/v1/webhooks", headers=headers).status_code == 403
+    assert httpx.post(f"{api.url}/v1/webhooks", json=body, headers=headers, timeout=300).status_code == 403
+    assert httpx.get(f"{api.url}/v1/webhooks", headers=headers, timeout=300).status_code == 403

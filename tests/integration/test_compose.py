@@ -120,7 +120,9 @@ def started(folder: Path, database_url: str, redis_server: str) -> Iterator[Topo
         how = [ours(part) for part in COMPOSE["services"][name]["healthcheck"]["test"]]
         assert how[0] == "CMD", "checks of our own services need no shell"
         program = [sys.executable if part == "python" else part for part in how[1:]]
-        done = subprocess.run(program, env=environment(name), cwd=folder, capture_output=True, check=False, timeout=60)
+        done = subprocess.run(
+            program, env=environment(name), cwd=folder, capture_output=True, check=False, timeout=PATIENCE_S
+        )
         return done.returncode
 
     processes: dict[str, subprocess.Popen[bytes]] = {}
@@ -140,7 +142,7 @@ def started(folder: Path, database_url: str, redis_server: str) -> Iterator[Topo
         for name in COMPOSE["services"]:
             start(name)
         url = f"http://127.0.0.1:{ports['api']}"
-        with httpx.Client(base_url=url, trust_env=False) as http:
+        with httpx.Client(base_url=url, trust_env=False, timeout=PATIENCE_S) as http:
 
             def is_ready() -> bool:
                 for name, process in processes.items():

@@ -215,7 +215,7 @@ class TestService:
         path = service.data_dir / "token"
         assert stat.S_IMODE(path.stat().st_mode) == 0o600
         assert path.read_text().strip() == service.token
-        assert httpx.get(f"{service.url}/readyz").status_code == 200
+        assert httpx.get(f"{service.url}/readyz", timeout=PATIENCE_S).status_code == 200
         with pytest.raises(Unauthorised), WibamClient(service.url, "wrong") as client:
             client.sites()
 
@@ -230,7 +230,7 @@ class TestService:
 
     def test_a_long_and_odd_path_will_do(self, tmp_path: Path) -> None:
         with EmbeddedService(tmp_path / ("ä b" * 30) / "data") as service:
-            assert httpx.get(f"{service.url}/readyz").status_code == 200
+            assert httpx.get(f"{service.url}/readyz", timeout=PATIENCE_S).status_code == 200
 
     def test_after_kill_nothing_is_left_and_the_folder_works_again(self, tmp_path: Path) -> None:
         data = tmp_path / "data"

@@ -262,7 +262,7 @@ class TestStopping:
         worker.start()
         wait_for(lambda: started.exists() and started.read_text() != "")
         assert service.jobs.cancel(job.id).state is JobState.CANCELLING
-        worker.join(120)
+        worker.join(600)
         assert service.jobs.job(job.id).state is JobState.CANCELLED
         assert not Path("/proc", started.read_text()).exists()
 
@@ -291,7 +291,7 @@ class TestStopping:
             worker.start()
             wait_for(lambda: service.leases.reap() != [])
             go_on.touch()
-            worker.join(120)
+            worker.join(600)
         assert service.dispatched == []
         assert service.store.find(PREFLIGHT, job.stages[0].hash) is None
         assert service.runner().run(key(job))
