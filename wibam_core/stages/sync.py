@@ -22,7 +22,8 @@ from wibam_core.sync.document import LEAST_SHARE, ambiguities, doubts, sync_docu
 from wibam_core.sync.hearing import SoundAlignment
 from wibam_core.sync.paths import GroundPath
 from wibam_core.sync.regions import region_cautions, unseen_cautions
-from wibam_core.sync.segments import InSegments, Span, synchronise_segments
+from wibam_core.sync.segments import InSegments, Span
+from wibam_core.sync.set_clocks import least_share, set_cautions, synchronise_set_clocks
 from wibam_core.sync.sound_pairs import sound_cautions
 
 #: What places a segment no better than to a second.
@@ -71,6 +72,7 @@ def run(context: StageContext, config: SyncConfig) -> Summary:
         by_camera.by_sound,
     )
     cautions = [*ambiguities(document), *doubts(document, config.max_offset_s), *sound_cautions(document)]
+    cautions += set_cautions(found, _segments_s(infos))
     if watches:
         cautions += [
             *region_cautions(context.site),
@@ -97,9 +99,7 @@ def _by_lights(
     if not alone and any(not confident.get(camera_id) for camera_id in infos):
         return None
     try:
-        return synchronise_segments(
-            _segments_s(infos), reference, changes=confident, sounds=sounds, max_offset_s=config.max_offset_s
-        )
+        return _in_segments(infos, reference, config, confident, None, sounds)
     except NoSignalChange:
         if alone:
             raise
@@ -126,14 +126,8 @@ def _with_traffic(
     changes = _changes(watches, config)
 
     def together(paths: Mapping[str, Sequence[GroundPath]]) -> InSegments:
-        return synchronise_segments(
-            _segments_s(infos),
-            context.site.camera_ids[0],
-            changes=_confident(changes, config),
-            paths=paths,
-            sounds=sounds,
-            max_offset_s=config.max_offset_s,
-        )
+        reference = context.site.camera_ids[0]
+        return _in_segments(infos, reference, config, _confident(changes, config), paths, sounds)
 
     if not may_do:
         return together(paths), changes
@@ -148,14 +142,32 @@ def _with_traffic(
     return together(passing.paths(config.traffic_rate_hz, part(context.progress, 0.65, 1.0))), changes
 
 
+def _in_segments(
+    infos: Mapping[str, VideoInfo],
+    reference: str,
+    config: SyncConfig,
+    changes: Mapping[str, Sequence[SignalChange]],
+    paths: Mapping[str, Sequence[GroundPath]] | None,
+    sounds: Sequence[SoundAlignment],
+) -> InSegments:
+    return synchronise_set_clocks(
+        _segments_s(infos),
+        _segments_s(infos, (*_UNSURE, "stamps")),
+        reference,
+        changes=changes,
+        paths=paths,
+        sounds=sounds,
+        max_offset_s=config.max_offset_s,
+    )
+
+
 def _is_sure(found: InSegments) -> bool:
     return _is_sound(found) and not found.found.is_ambiguous
 
 
 def _is_sound(found: InSegments) -> bool:
     """Whether most changes that could meet do, and no segment lies where it was only assumed to."""
-    shares = [one.taken.share for one in found.found.result.alignments.values()]
-    return min(shares, default=1.0) >= LEAST_SHARE and not any(found.assumed.values())
+    return least_share(found) >= LEAST_SHARE and not any(found.assumed.values())
 
 
 def _confident(changes: Mapping[str, Sequence[SignalChange]], config: SyncConfig) -> dict[str, list[SignalChange]]:
@@ -164,12 +176,13 @@ def _confident(changes: Mapping[str, Sequence[SignalChange]], config: SyncConfig
     }
 
 
-def _segments_s(infos: Mapping[str, VideoInfo]) -> dict[str, list[Span]]:
-    """Camera id -> stretches of its recording between which the time that passed is not known to a frame."""
+def _segments_s(infos: Mapping[str, VideoInfo], unsure: Sequence[str] = _UNSURE) -> dict[str, list[Span]]:
+    """Camera id -> stretches of its recording; all but the first begin with a segment that is placed by one of
+    ``unsure``, which does not tell the time that passed to a frame."""
     found: dict[str, list[Span]] = {}
     for camera_id, info in infos.items():
-        begins = [info.first_ns, *(one.first_ns for one in info.segments[1:] if one.placed_by in _UNSURE)]
-        ends = [*(one.last_ns for one, then in pairwise(info.segments) if then.placed_by in _UNSURE), info.last_ns]
+        begins = [info.first_ns, *(one.first_ns for one in info.segments[1:] if one.placed_by in unsure)]
+        ends = [*(one.last_ns for one, then in pairwise(info.segments) if then.placed_by in unsure), info.last_ns]
         found[camera_id] = [(begin / 1e9, end / 1e9) for begin, end in zip(begins, ends, strict=True)]
     return found
 

@@ -116,7 +116,8 @@ def _of_time(info: VideoInfo) -> Iterator[Caution]:
         yield Caution(
             code="recording_gap",
             message=f"there is no frame for {info.largest_gap_s:.1f} s",
-            hint="Nothing is seen by this camera meanwhile; look whether the recording was joined from parts.",
+            hint="Nothing is seen by this camera meanwhile; look whether the recording was joined from parts. If its "
+            "clock was set then, as by a time server, nothing is missing, and all that follows is said to be later.",
             details={"gap_s": info.largest_gap_s},
         )
     unknown = [segment for segment in info.segments if segment.placed_by == "assumed"]

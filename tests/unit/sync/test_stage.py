@@ -1,3 +1,5 @@
+from dataclasses import replace
+
 import cv2
 import numpy as np
 import pytest
@@ -201,3 +203,33 @@ def test_what_was_seen_in_a_frame_is_kept_for_when_more_frames_are_asked_for(tmp
     assert BrightDetector.looks == 60 and len(fresh) == 30
     for name, values in vars(fresh).items():
         np.testing.assert_array_equal(getattr(again, name), values)
+
+
+@pytest.mark.parametrize("is_lost", [False, True])
+def test_a_clock_that_was_set_is_told_from_a_camera_that_was_off(tmp_path, is_lost):
+    """Half way the second camera's stamps go on 25 s later: those frames are missing, or a time server spoke."""
+    lasts_s = (9.0, 3.0, 10.0, 5.0, 3.0, 14.0, 13.0, 3.0, 7.0, 6.0, 3.0, 12.0)
+    uneven = tuple((state, seconds) for (state, _), seconds in zip(CYCLE * 4, lasts_s, strict=True))
+    seconds, set_s, jump_s = 100.0, 48.0, 25.0
+    starts = {"cam1": 0.0, "cam2": 2.0, "cam3": 1.0}
+    for number, (camera_id, start_s) in enumerate(starts.items()):
+        frames = record(sequence(uneven, seconds, start_s), seconds, size=SIZE, seed=number, noise=3.0)
+        with VideoWriter(tmp_path / f"{camera_id}.mp4", SIZE[0] + 40, SIZE[1] + 32, 12.5, crf=24) as writer:
+            for time_ns, image in frames:
+                later = camera_id == "cam2" and time_ns > set_s * 1e9
+                if later and is_lost and time_ns < (set_s + jump_s) * 1e9:
+                    continue
+                writer.write(image, time_ns + (round(jump_s * 1e9) if later and not is_lost else 0))
+    context = context_of(tmp_path, tmp_path / "out", recordings={c: tmp_path / f"{c}.mp4" for c in starts})
+    warned = []
+    context = replace(context, warned=warned.append)
+    sync.run(context, SyncConfig(method="signals"))
+    made = StageFolders(tmp_path / "out")
+    clock, codes = made.read(CLOCKS)["cam2"], [warning.code for warning in warned]
+    shift_s = 0.0 if is_lost else -jump_s
+    assert int(clock.to_reference_ns(20 * 10**9)) / 1e9 == pytest.approx(22.0, abs=0.08)
+    assert int(clock.to_reference_ns(90 * 10**9)) / 1e9 == pytest.approx(92.0 + shift_s, abs=0.08)
+    assert ("clock_set" in codes) is not is_lost
+    if not is_lost:
+        [placed] = made.read(CHANGES).cameras["cam2"].segments
+        assert placed.shift_s == pytest.approx(-jump_s, abs=0.08)
