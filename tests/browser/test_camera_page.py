@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from pathlib import Path
 from typing import Any
 
 import pytest
@@ -9,6 +10,7 @@ import pytest
 from tests.browser.conftest import Visit
 from tests.recordings import write_recording
 from tests.service import LiveApi
+from tests.unit.formats.test_map_pictures import KEYS, SCALE, TIEPOINT, keys, write_tiff
 
 HEADERS = "**/recordings/*/header"
 
@@ -99,3 +101,17 @@ def test_taking_the_size_of_a_recording_keeps_what_others_have_changed_meanwhile
     kept = api.http.get(f"/v1/sites/{new_site}").json()["site"]
     assert (kept["name"], kept["cameras"][1]["width_px"]) == ("renamed", 800)
     assert (kept["cameras"][0]["width_px"], kept["cameras"][0]["height_px"]) == (640, 360)
+
+
+def test_a_geotiff_says_by_itself_where_it_lies(signed_in: Visit, api: LiveApi, tmp_path: Path) -> None:
+    """Of a site on Earth, at the origin of whose plane the picture has its top left corner."""
+    site = api.site(cameras=1)
+    described = api.http.get(f"/v1/sites/{site}").json()["site"]
+    origin = {"latitude_deg": 48.753, "longitude_deg": 9.0}
+    assert api.http.put(f"/v1/sites/{site}", json={**described, "origin": origin}).status_code == 200
+    tags = {SCALE: (0.5, 0.5, 0.0), TIEPOINT: (0.0, 0.0, 0.0, 5e5, 5.4e6, 0.0), KEYS: keys((3072, 32632))}
+    page = signed_in.open(f"/sites/{site}/cameras/cam1")
+    page.locator("#map-file").set_input_files(write_tiff(tmp_path / "above.tif", tags))
+    page.get_by_text("above.tif is placed by what the file itself says").wait_for()
+    placing = api.http.get(f"/v1/sites/{site}").json()["map"]["map"]["placing"]
+    assert placing[0][0] == pytest.approx(0.5, rel=2e-3) and placing[1][1] == pytest.approx(-0.5, rel=2e-3)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from typing import Any
 
 import pytest
 
@@ -52,6 +53,33 @@ def test_jobs_are_listed_and_filtered(signed_in: Visit, job: str) -> None:
     page.get_by_label("Name or id").fill("FIRST")
     page.get_by_role("link", name="first try").click()
     page.wait_for_url(f"**/jobs/{job}")
+
+
+def test_an_answer_that_comes_late_does_not_undo_a_later_filter(signed_in: Visit, job: str) -> None:
+    page = signed_in.page
+    page.get_by_role("link", name="first try").wait_for()
+    held: list[Any] = []
+    page.route(re.compile(r"text=FIRST"), lambda route: held.append(route))
+    page.get_by_label("Name or id").fill("FIRST")
+    while not held:
+        page.wait_for_timeout(20)
+    page.get_by_label("Name or id").fill("no such job")
+    page.get_by_text("No job is like that").wait_for()
+    with page.expect_response(re.compile(r"text=FIRST")):
+        held[0].continue_()
+    page.wait_for_timeout(200)
+    assert page.get_by_text("No job is like that").is_visible()
+
+
+def test_a_job_is_cancelled(signed_in: Visit, api: LiveApi) -> None:
+    site = api.site(cameras=1)
+    api.upload(site, b"to be cancelled")
+    waiting = api.http.post(f"/v1/sites/{site}/jobs", json={}).json()["id"]
+    page = signed_in.open(f"/jobs/{waiting}")
+    page.get_by_role("button", name="Cancel the job").click()
+    page.locator("#facts .state.cancelled").wait_for()
+    page.get_by_role("button", name="Restart").wait_for()
+    assert api.http.get(f"/v1/jobs/{waiting}").json()["state"] == "cancelled"
 
 
 def test_a_job_shows_stages_warnings_and_files(signed_in: Visit, job: str) -> None:

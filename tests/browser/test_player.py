@@ -11,6 +11,7 @@ import pytest
 
 from tests.browser.conftest import Visit, visit
 from tests.browser.test_every_page import BEYOND
+from tests.builders import corner_rig
 from tests.clips import clip_job
 from tests.finished import finished_job, tracks
 from tests.service import LiveApi
@@ -192,6 +193,25 @@ def test_the_history_of_a_road_user_has_seven_degrees_of_freedom_with_their_inte
     assert row == ["0:01.0", "10.00 ± 0.20", "0.00 ± 0.20", "0.75 ± 0.20", *sizes, "0.0 ± 11.2", "10.0"]
     page.set_viewport_size({"width": 390, "height": 800})
     assert page.evaluate(BEYOND) <= 0, "on a phone the table scrolls, and not the page"
+
+
+def test_a_click_on_a_vehicle_in_the_plan_or_in_a_view_chooses_it(signed_in: Visit, job: str) -> None:
+    """At 0.5 s the car is at (5, 0), the bus at (20, 5), which the camera does not see."""
+    page = signed_in.open(f"/jobs/{job}/player?time_ns=500000000")
+    page.locator("#present option:nth-child(3)").wait_for(state="attached")
+    camera = corner_rig(1)["cam1"]
+    plan, view = page.locator("#plan").bounding_box(), page.locator("#views canvas").bounding_box()
+    assert plan is not None and view is not None
+    corners = np.array([[0.0, 0.0], [49.0, 5.0], camera.centre_m[:2]])  # what the plan is fitted to
+    middle, size = (corners.min(axis=0) + corners.max(axis=0)) / 2, np.ptp(corners, axis=0)
+    px_per_m = 0.94 * min(1000 / size[0], 760 / size[1])
+    x, y = (np.array([20.0, 5.0]) - middle) * px_per_m * [1, -1] + [500, 380]
+    page.locator("#plan").click(position={"x": x * plan["width"] / 1000, "y": y * plan["height"] / 760})
+    page.locator("#chosen").get_by_text("Track 2, bus").wait_for()
+    pixel, _ = camera.project(np.array([5.0, 0.0, 0.75]))
+    u, v = (pixel + 0.5) * view["width"] / camera.width_px
+    page.locator("#views canvas").click(position={"x": float(u), "y": float(v)})
+    page.locator("#chosen").get_by_text("Track 1, car").wait_for()
 
 
 def test_keys_work_wherever_a_click_has_left_the_focus(signed_in: Visit, job: str) -> None:

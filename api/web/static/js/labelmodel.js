@@ -89,6 +89,12 @@ export class Model {
     /** @type {Step[]} */
     this.future = [];
     this.step = /** @type {string|null} */ (null);
+    this.isOpen = false;
+  }
+
+  /** Leave an instant: until another is loaded there is nothing to change, since nobody would save it. */
+  close() {
+    [this.vehicles, this.past, this.future, this.isOpen] = [[], [], [], false];
   }
 
   /** Begin with another instant. @param {Vehicle[]} vehicles @param {boolean} finished @param {Region[]} regions */
@@ -99,6 +105,7 @@ export class Model {
     this.past = [];
     this.future = [];
     this.step = null;
+    this.isOpen = true;
     if (!vehicles.some((vehicle) => vehicle.id === this.chosen)) this.chosen = vehicles[0]?.id ?? null;
   }
 
@@ -109,6 +116,7 @@ export class Model {
 
   /** Replace everything. @param {Vehicle[]} vehicles @param {{finished?: boolean, regions?: Region[], step?: string|null}} [how] changes of one `step` are undone together */
   replace(vehicles, { finished = this.finished, regions = this.regions, step = null } = {}) {
+    if (!this.isOpen) return;
     if (step === null || step !== this.step) {
       this.past.push({ vehicles: this.vehicles, regions: this.regions, finished: this.finished });
       if (this.past.length > KEPT_STEPS) this.past.shift();
@@ -134,6 +142,7 @@ export class Model {
 
   /** Add a vehicle, and choose it. @param {string} kind @param {number[]} box @param {number[]} [taken] ids that mean other vehicles */
   add(kind, box, taken = []) {
+    if (!this.isOpen) return;
     const id = 1 + Math.max(0, ...this.vehicles.map((vehicle) => vehicle.id), ...taken);
     this.chosen = id;
     this.replace([...this.vehicles, { id, class: kind, box, velocity_mps: [0, 0], visibility: {}, ignored: false, seconds: 0 }], { step: `add ${id}` });

@@ -41,6 +41,7 @@ export class LabelStore {
 
   /** What to show: as saved, or as left unsaved in this browser. @returns {Promise<{answer: any, draft: Draft|null}>} */
   async open() {
+    while (this.busy) await this.busy;
     const answer = await get(this.path), kept = localStorage.getItem(this.key);
     this.version = answer.version;
     this.base = answer.labels.vehicles;

@@ -6,8 +6,8 @@ import { duration, percent, when, words } from "../format.js";
 const PAGE = 50, LOOK_AGAIN_MS = 3000;
 /** @type {any[]} */
 let shown = [];
-/** The address of the next page. */
-let older = "";
+/** The address of the next page; how many lists were asked for. */
+let older = "", asked = 0;
 
 function filters() {
   return { state: byId("state").value, site: byId("site").value, text: byId("text").value.trim(), tag: byId("tag").value.trim() };
@@ -38,8 +38,9 @@ function show() {
 
 /** @param {string} path of a page of the list @param {any[]} before the jobs of the pages before */
 async function load(path = `/v1/jobs${query({ ...filters(), limit: PAGE })}`, before = []) {
-  const response = await request("GET", path);
-  shown = [...before, ...await response.json()];
+  const mine = ++asked, response = await request("GET", path), found = await response.json();
+  if (mine !== asked) return; // what was asked for later may have been answered before
+  shown = [...before, ...found];
   older = nextPage(response);
   byId("more").hidden = !older;
   show();
@@ -47,8 +48,8 @@ async function load(path = `/v1/jobs${query({ ...filters(), limit: PAGE })}`, be
 
 async function refresh() {
   if (document.hidden || !shown.some((job) => !job.is_terminal)) return;
-  const latest = await get(`/v1/jobs${query({ ...filters(), limit: Math.max(PAGE, Math.min(shown.length, 1000)) })}`);
-  if (JSON.stringify(latest) !== JSON.stringify(shown) && !byId("jobs").contains(document.activeElement)) { shown = latest; show(); }
+  const mine = asked, latest = await get(`/v1/jobs${query({ ...filters(), limit: Math.max(PAGE, Math.min(shown.length, 1000)) })}`);
+  if (mine === asked && JSON.stringify(latest) !== JSON.stringify(shown) && !byId("jobs").contains(document.activeElement)) { shown = latest; show(); }
 }
 
 async function start() {

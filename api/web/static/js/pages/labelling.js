@@ -1,6 +1,6 @@
 // Labelling: all cameras' frames and the plan at one instant, with cuboids that are the same in all of them.
 import { get, query, send, wholeNumber } from "../api.js";
-import { ask, attempt, byId, fill, h, message, say } from "../dom.js";
+import { attempt, byId, fill, h, message, say } from "../dom.js";
 import { clock, duration } from "../format.js";
 import { FrameCache } from "../frames.js";
 import { FrameView } from "../frameview.js";
@@ -10,6 +10,7 @@ import { drawCuboids, drawVehicles, gripInPlan, gripInView } from "../labeldraw.
 import { showAgreement } from "../labelagreement.js";
 import { boxAfterKey, boxAfterWheel } from "../labelkeys.js";
 import { grounded, heading, later, Model } from "../labelmodel.js";
+import { settle } from "../labelmerge.js";
 import { makePanel, showVehicle } from "../labelpanel.js";
 import { draggedInPlan, draggedInView } from "../labelpointer.js";
 import { RegionTool } from "../labelregions.js";
@@ -27,6 +28,7 @@ let exposures = /** @type {Object<string, number|null>} */ ({});
 let parts = /** @type {Object<string, number[]>} */ ({}), test = /** @type {number[]} */ ([]), listed = /** @type {number[]} */ ([]), labelled = /** @type {Map<number, any>} */ (new Map());
 let timeNs = NaN, proposals = /** @type {Vehicle[]} */ ([]), seen = /** @type {Object<string, Object<number, number>>} */ ({});
 let store = /** @type {LabelStore|null} */ (null), placing = false, from = /** @type {{timeNs: number, boxes: Map<number, number[]>}|null} */ (null);
+const stores = /** @type {Map<string, LabelStore>} */ (new Map());
 let drag = /** @type {{grip: Grip, vehicle: Vehicle, at: number[]}|null} */ (null);
 const views = /** @type {Map<string, FrameView>} */ (new Map()), timer = new WorkTimer();
 const model = new Model(changed), regions = new RegionTool(model, redraw, readOnly);
@@ -85,19 +87,21 @@ function takeSeen(answer) {
   }
 }
 
-/** Two people's work, where both changed a vehicle. @param {{vehicles: Vehicle[], regions: any[], both: any[]}} found @param {string} author @returns {Promise<Vehicle[]>} */
-async function merge(found, author) {
-  let vehicles = found.vehicles;
-  byId("merge-said").textContent = `${author} saved this instant meanwhile. What only one of you changed is taken over${found.both.length ? "; of what both changed, say whose stands." : "."}`;
-  fill(byId("merge-both"), found.both.map(({ id, mine, theirs }) => h("fieldset", null, h("legend", null, `Vehicle ${id}`), ["mine", "theirs"].map((whose) => h("label", null,
-    h("input", { type: "radio", name: `of-${id}`, value: whose, checked: whose === "mine" }), whose === "mine" ? ` yours${mine ? "" : " (removed)"}` : ` theirs${theirs ? "" : " (removed)"}`)))));
-  await ask(byId("merge-dialog"));
-  for (const { id, theirs } of found.both) {
-    const whose = /** @type {HTMLInputElement|null} */ (byId("merge-both").querySelector(`input[name="of-${id}"]:checked`))?.value;
-    if (whose === "theirs") vehicles = [...vehicles.filter((vehicle) => vehicle.id !== id), ...(theirs ? [theirs] : [])];
-  }
-  model.replace(vehicles, { regions: found.regions });
-  return vehicles;
+/** What saves an instant in the set that is chosen. One that was left unsaved goes on saving, and says nothing of the one that is shown. @param {number} time @returns {LabelStore} */
+function storeOf(time) {
+  const set = setName(), key = `${set} ${time}`, isShown = () => store === here;
+  const here = stores.get(key) ?? new LabelStore(jobId, set, time, {
+    author: () => byId("author").value.trim() || "somebody",
+    saved: (answer) => { if (set === setName()) noteSaved(answer); if (isShown()) { takeSeen(answer); redraw(); } },
+    said: (text, bad = false) => { if (isShown()) { byId("saved").textContent = text; byId("saved").classList.toggle("bad", bad); } },
+    merge: async (found, author) => {
+      const vehicles = await settle(found, author, clock(time / 1e9));
+      if (isShown()) model.replace(vehicles, { regions: found.regions });
+      return vehicles;
+    },
+  });
+  stores.set(key, here);
+  return here;
 }
 
 /** Go to an instant. @param {number} time @param {Vehicle[]} [copied] vehicles that are to stand there, too */
@@ -105,17 +109,13 @@ async function open(time, copied = []) {
   await store?.flush();
   [timeNs, proposals, exposures] = [time, [], {}]; // those of the instant before do not hold here
   byId("saved").textContent = `loading ${clock(time / 1e9)} …`;
-  const here = new LabelStore(jobId, setName(), time, {
-    author: () => byId("author").value.trim() || "somebody",
-    saved: (answer) => { takeSeen(answer); noteSaved(answer); redraw(); },
-    said: (text, bad = false) => { byId("saved").textContent = text; byId("saved").classList.toggle("bad", bad); },
-    merge,
-  });
-  store = null;
+  const here = storeOf(time);
+  [store, drag] = [null, null];
+  model.close();
   cache.want(neighbours(time).flatMap((at) => cameras.map((camera) => /** @type {[string, number]} */ ([camera.id, at]))));
-  showFrames();
+  showFrames(); redraw();
   const [{ answer, draft }, proposed, stored] = await Promise.all([here.open(), get(`/v1/jobs/${jobId}/labels/instants/${time}/proposal`), around(time, NEAR_NS)])
-    .catch((error) => { if (time === timeNs) byId("saved").textContent = `${clock(time / 1e9)} could not be loaded; open it again`; throw error; });
+    .catch((error) => { if (time === timeNs) [byId("saved").textContent, byId("instant").value] = [`${clock(time / 1e9)} could not be loaded; open it again`, ""]; throw error; });
   if (time !== timeNs) return;
   proposals = proposed;
   exposures = Object.fromEntries(Object.entries(stored.frame_times_ns).map(([camera, times]) => [camera, times[stored.times_ns.indexOf(time)]]));
