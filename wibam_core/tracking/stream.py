@@ -209,13 +209,13 @@ def write_stream(path: Path, stream: TrackStream) -> None:
     partial.replace(path)
 
 
-def read_stream(path: Path, config: TrackConfig) -> TrackStream:
-    """A stream that goes on where the written one was.
+def read_stream(path: Path, config: TrackConfig, lag_s: float = LAG_S) -> TrackStream:
+    """A stream that goes on where the written one was, with the thresholds and the lag of a `TrackStream`.
 
     Raises:
         InputError: the file is not of this kind, or another version wrote it.
     """
-    stream = TrackStream(config)
+    stream = TrackStream(config, lag_s)
     try:
         with np.load(path, allow_pickle=False) as arrays:
             stream.go_on(dict(arrays))
