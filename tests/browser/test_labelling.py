@@ -310,6 +310,7 @@ def test_an_instant_that_cannot_be_loaded_is_named_and_opened_again(labelling: V
     page.locator("#instant").select_option(str(TIMES_NS[3]))
     page.get_by_text("could not be loaded; open it again").wait_for()
     page.unroute_all()
-    page.locator("#instant").select_option(str(TIMES_NS[0]))
+    page.locator("#instant").select_option(str(TIMES_NS[3]))
     page.get_by_text("not labelled yet").wait_for()
+    assert page.locator("#instant").input_value() == str(TIMES_NS[3])
     labelling.forgive("ERR_FAILED")

@@ -54,3 +54,15 @@ def test_stored_instants_are_listed_for_a_stretch(api: LiveApi, job: str) -> Non
     assert part["times_ns"] == list(TIMES_NS[1:3]), "the start counts in, the end does not"
     assert part["frame_times_ns"] == {camera: times[1:3] for camera, times in whole["frame_times_ns"].items()}
     assert api.http.get(f"/v1/jobs/{job}/instants", params={"from": 1}).status_code == 422
+
+
+def test_a_frame_that_is_kept_is_asked_for_again_since_a_restart_may_make_others(api: LiveApi) -> None:
+    job = labelled_job(api, b"with other frames soon")
+    address = f"/v1/jobs/{job}/frames/north?time_ns={TIMES_NS[1]}&width_px=320"
+    first = api.http.get(address)
+    assert first.headers["cache-control"] == "private, no-cache"
+    kept = api.http.get(address, headers={"If-None-Match": first.headers["etag"]})
+    assert (kept.status_code, kept.content) == (304, b"")
+    options = {"options": {"frames": {"rate_hz": 2.0}}}
+    assert api.http.post(f"/v1/jobs/{job}/restart", json=options).status_code == 202
+    assert api.http.get(address, headers={"If-None-Match": first.headers["etag"]}).status_code == 409, "made anew"
