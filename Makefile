@@ -78,9 +78,14 @@ weights: $(READY) ## train the bundled networks again from simulated images (hou
 	$(BIN)/python -m wibam_core.pretraining.detector --out build/weights/plain --steps 3000 --images 1200 --varied 0
 	$(BIN)/python -m wibam_core.pretraining.detector --out build/weights/varied --steps 5000 --images 3000 --seed 3000 \
 		--workers 1 --varied 6 --start build/weights/plain/detector2d.onnx
-	$(BIN)/python -m wibam_core.pretraining.detector --out build/weights --steps 3000 --images 1400 --seed 10000 \
+	$(BIN)/python -m wibam_core.pretraining.detector --out build/weights/near --steps 3000 --images 1400 --seed 10000 \
 		--workers 1 --varied 7 --near 0.6 --learning-rate 1.5e-3 --start build/weights/varied/detector2d.onnx
-	$(BIN)/python -m wibam_core.pretraining.edge_refiner --out build/weights/edge_refiner --steps 5000 --images 4000 --workers 1
+	$(BIN)/python -m wibam_core.pretraining.detector --out build/weights --steps 6000 --images 3200 --seed 20000 \
+		--workers 1 --varied 8 --near 0.5 --learning-rate 1.5e-3 --start build/weights/near/detector2d.onnx
+	$(BIN)/python -m wibam_core.pretraining.edge_refiner --out build/weights/plain_refiner --steps 5000 --images 4000 \
+		--workers 1 --varied 0
+	$(BIN)/python -m wibam_core.pretraining.edge_refiner --out build/weights/edge_refiner --steps 6000 --images 3600 \
+		--seed 20000 --workers 1 --varied 6 --near 0.4 --learning-rate 1.5e-3 --start build/weights/plain_refiner/edge_refiner.onnx
 	$(BIN)/python -m wibam_core.pretraining.monocular --out build/weights/1 --steps 9500 --images 42000 --shard 280 \
 		--batch 32 --learning-rate 2.5e-3 --seed 30000 --rendered 544 384 --zoom 0.7 1.45 --checkpoint-every 2000 \
 		--device auto --workers 14

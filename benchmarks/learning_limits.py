@@ -30,7 +30,7 @@ _OF_SIMULATION = (
     "**Simulation.** A first look at a real roundabout, where the method carries over, is in "
     "[README](../README.md#at-a-real-roundabout): a sign, not a result. Elsewhere a detector that learned from "
     "simulated pictures alone is weak: the one behind these tables found none of 15 cars in a roadside picture, "
-    "today's finds 5.",
+    "today's finds 10.",
     "**Perfect geometry.** Cameras are calibrated exactly and the road is flat; what wrong calibrations cost the fits, "
     "but not the training, is in [robustness.md](robustness.md).",
     "**Matching** within 4 m (nuScenes: 2 m) is kinder to recall and harsher to ATE; a detection beside a hidden or "
