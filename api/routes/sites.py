@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Annotated
 
-from fastapi import APIRouter, Query
+from fastapi import APIRouter, Header, Query, Response
 
 from api.bodies import BoundedJsonRoute
 from api.paging import MadeDep, PageDep, Text
@@ -18,7 +18,7 @@ from wibam_core.documents.amounts import JobAmount
 from wibam_core.documents.recordings import VideoInfo
 from wibam_core.errors import WibamError
 from wibam_core.job_kind import JobKind
-from wibam_core.jobs.records import Purpose
+from wibam_core.jobs.records import Purpose, SiteRecord
 from wibam_core.site import Site
 
 router = APIRouter(prefix="/v1/sites", tags=["sites"], responses=documented(401), route_class=BoundedJsonRoute)
@@ -39,21 +39,35 @@ def list_sites(services: ServicesDep, page: PageDep, made: MadeDep, text: Text =
 
 
 @router.get("/{site_id}", summary="Look at a site", responses=documented(404))
-def get(site_id: str, services: ServicesDep) -> SiteOut:
-    return SiteOut.of(services.sites.site(site_id), services.maps.find(site_id))
+def get(site_id: str, services: ServicesDep, response: Response) -> SiteOut:
+    """The header `ETag` has the version of the description, for the `If-Match` of describing it anew."""
+    return _out(services, services.sites.site(site_id), response)
 
 
-@router.put("/{site_id}", summary="Describe a site anew", responses=documented(404, 413, 422))
-def replace(site_id: str, site: Site, services: ServicesDep) -> SiteOut:
+@router.put("/{site_id}", summary="Describe a site anew", responses=documented(404, 412, 413, 422))
+def replace(
+    site_id: str,
+    site: Site,
+    services: ServicesDep,
+    response: Response,
+    if_match: Annotated[
+        str | None,
+        Header(max_length=80, description="the `ETag` of the description that yours was made from; any without it"),
+    ] = None,
+) -> SiteOut:
     """The whole document, with what was wrong corrected. Recordings stay with the cameras of the same id; those of
     cameras that the site no longer has are taken off it.
 
     Jobs keep the description that they were created with, even when they are restarted: create a new job to use this
     one. It reuses the stages that the change does not touch. With another origin, a GeoTIFF that was placed by the one
     before has no place; `note` of `map` says so.
+
+    With `If-Match`, what others have changed meanwhile is not overwritten: nothing is changed then (412,
+    `changed_meanwhile`).
     """
     site.check()
-    return SiteOut.of(services.sites.replace_site(site_id, site), services.maps.find(site_id))
+    made_from = None if if_match is None or if_match.strip() == "*" else if_match.strip().strip('"')
+    return _out(services, services.sites.replace_site(site_id, site, made_from), response)
 
 
 @router.delete("/{site_id}", status_code=204, summary="Delete a site", responses=documented(404, 409))
@@ -101,6 +115,11 @@ def amounts_of_footage(site_id: str, services: ServicesDep) -> list[JobAmount]:
     labels are the same can be compared: keep `dataset.train_share` + `dataset.val_share` when you vary the first."""
     services.sites.site(site_id)
     return amounts(services.results, services.jobs.jobs(site_id, limit=100, kind=JobKind.TRAINING))
+
+
+def _out(services: Services, record: SiteRecord, response: Response) -> SiteOut:
+    response.headers["ETag"] = f'"{record.version}"'
+    return SiteOut.of(record, services.maps.find(record.id))
 
 
 def _probes(services: Services, site_id: str) -> dict[str, VideoInfo]:

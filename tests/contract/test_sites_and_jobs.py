@@ -169,6 +169,19 @@ class TestSites:
         assert api.http.get(f"/v1/sites/{ready_site}").json() == replaced.json()
         assert [file["camera"] for file in api.http.get(f"/v1/sites/{ready_site}/recordings").json()] == ["cam1"]
 
+    def test_the_second_of_two_who_describe_it_anew_is_told(self, api: LiveApi, ready_site: str) -> None:
+        read = api.http.get(f"/v1/sites/{ready_site}")
+        mine, theirs = ({**read.json()["site"], "name": name} for name in ("mine", "theirs"))
+        match = {"If-Match": read.headers["etag"]}
+        first = api.http.put(f"/v1/sites/{ready_site}", json=theirs, headers=match)
+        assert first.headers["etag"] == api.http.get(f"/v1/sites/{ready_site}").headers["etag"] != read.headers["etag"]
+        again = api.http.put(f"/v1/sites/{ready_site}", json=theirs, headers=match)
+        assert again.status_code == 200, "the answer may have got lost on its way"
+        assert_problem(api.http.put(f"/v1/sites/{ready_site}", json=mine, headers=match), 412, "changed_meanwhile")
+        assert api.http.get(f"/v1/sites/{ready_site}").json()["name"] == "theirs"
+        for how in ({"If-Match": first.headers["etag"]}, {"If-Match": "*"}, {}):
+            assert api.http.put(f"/v1/sites/{ready_site}", json=mine, headers=how).status_code == 200
+
     def test_cameras_that_are_gone_take_their_recordings_along(self, api: LiveApi) -> None:
         site = api.site(cameras=2)
         for camera in ("cam1", "cam2"):

@@ -22,7 +22,7 @@ from wibam_core.adapters.site_rules import (
     check_size,
     retire_unlisted,
 )
-from wibam_core.errors import Conflict, InputError, NotFound
+from wibam_core.errors import ChangedMeanwhile, Conflict, InputError, NotFound
 from wibam_core.jobs.records import Purpose, SiteRecord, StoredFile, Upload
 from wibam_core.jobs.states import JobState
 from wibam_core.site import Site
@@ -102,19 +102,28 @@ class SiteStore:
         with self._database.reading() as session:
             return records.site_record(_site_row(session, site_id))
 
-    def replace_site(self, site_id: str, site: Site) -> SiteRecord:
+    def replace_site(self, site_id: str, site: Site, made_from: str | None = None) -> SiteRecord:
         """Describe a site anew. Jobs keep the description that they were created with.
 
         Files stay, but for those of cameras that the site no longer has, or no longer lists: they are taken off it,
         and their unfinished uploads are forgotten.
 
+        Args:
+            site_id: which.
+            site: its new description.
+            made_from: the version that it was made from; None: whatever is there is replaced.
+
         Raises:
             NotFound: there is no such site.
+            ChangedMeanwhile: the site is neither of that version nor as described here; nothing was changed.
         """
         gone = (UploadRow.camera_id != "") & UploadRow.camera_id.not_in(site.camera_ids)
         retired = (FileRow.camera_id != "") & FileRow.camera_id.not_in(site.camera_ids) & FileRow.retired_at.is_(None)
         with self._database.writing(exclusive=True) as session:
             row = _site_row(session, site_id)
+            there = records.site_record(row)
+            if made_from not in (None, there.version) and there.site != site:  # the same may be sent again
+                raise ChangedMeanwhile("somebody else has changed the site meanwhile", version=there.version)
             row.document = site.model_dump_json()
             session.execute(delete(UploadRow).where(UploadRow.site_id == site_id, UploadRow.file_id.is_(None), gone))
             session.execute(update(FileRow).where(FileRow.site_id == site_id, retired).values(retired_at=self._now()))

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from enum import StrEnum
+from hashlib import sha256
 from typing import Any
 
 from wibam_core.documents.trained_model import ModelDocument
@@ -41,6 +42,11 @@ class SiteRecord:
     id: str
     site: Site
     created_at: float
+
+    @property
+    def version(self) -> str:
+        """Of the description: another one has another version, and the same one the same."""
+        return sha256(self.site.model_dump_json().encode()).hexdigest()[:32]
 
 
 @dataclass(frozen=True)

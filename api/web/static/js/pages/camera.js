@@ -9,6 +9,7 @@ import { FrameView } from "../frameview.js";
 import { MapPicture } from "../mappicture.js";
 import { groundInView, Plan } from "../plan.js";
 import { phaseColour, SignalPanel } from "../signalpanel.js";
+import { changeSite } from "../sitedocument.js";
 
 const siteId = document.body.dataset.site ?? "", cameraId = document.body.dataset.camera ?? "";
 let record = /** @type {any} */ (null), dirty = false, asked = 0, fitted = false;
@@ -129,9 +130,7 @@ async function save() {
   panel.check();
   const description = { calibration: panel.document(), signals: signals.document() };
   const left = panel.points.length - panel.complete().length;
-  record = await get(`/v1/sites/${siteId}`); // another page may have changed another camera meanwhile
-  const site = { ...record.site, origin: record.site.origin ?? origin, cameras: record.site.cameras.map((/** @type {any} */ one) => (one.id === cameraId ? { ...one, ...description } : one)) };
-  record = await send("PUT", `/v1/sites/${siteId}`, site);
+  record = await changeSite(siteId, (site) => ({ ...site, origin: site.origin ?? origin, cameras: site.cameras.map((/** @type {any} */ one) => (one.id === cameraId ? { ...one, ...description } : one)) }));
   before = JSON.stringify([panel.document(), signals.document()]);
   dirty = false;
   changed();
@@ -206,9 +205,8 @@ async function start() {
 /** A click is of a pixel of the recording: a new camera takes the size of its pictures before anything is clicked in them. */
 async function followSize() {
   if (!recording?.header || !resized(record.site, cameraId, recording.header)) return;
-  record = await get(`/v1/sites/${siteId}`); // another page may have changed the site while the recording was read
-  const sized = resized(record.site, cameraId, recording.header);
-  if (sized) record = await send("PUT", `/v1/sites/${siteId}`, sized);
+  const { header } = recording;
+  record = await changeSite(siteId, (site) => resized(site, cameraId, header));
 }
 
 attempt(start);

@@ -7,6 +7,7 @@ import { layMap } from "../maplayer.js";
 import { cameraColour, drawView, groundInView, Plan } from "../plan.js";
 import { Camera } from "../projection.js";
 import { recordingName } from "../chapters.js";
+import { changeSite, editSite } from "../sitedocument.js";
 import { UploadQueue } from "../tus.js";
 
 const siteId = document.body.dataset.site ?? "";
@@ -30,8 +31,7 @@ let changing = Promise.resolve();
 /** @param {(site: any) => any} change from the site's document to another */
 function change(change) {
   const mine = changing.catch(() => {}).then(async () => {
-    const latest = await get(`/v1/sites/${siteId}`);
-    await send("PUT", `/v1/sites/${siteId}`, change(latest.site));
+    await changeSite(siteId, change);
     await show();
   });
   changing = mine;
@@ -170,7 +170,7 @@ async function arrived(upload) {
   const camera = record.site.cameras.find((/** @type {any} */ one) => one.id === upload.target.camera), file = camera && recordingsOf(camera.id)[0];
   if (file) {
     const header = await get(`/v1/sites/${siteId}/recordings/${file.id}/header`);
-    if (resized(record.site, camera.id, header)) { await change((site) => resized(site, camera.id, header) ?? site); return; }
+    if (resized(record.site, camera.id, header)) { await change((site) => resized(site, camera.id, header)); return; }
   }
   await show();
 }
@@ -225,11 +225,7 @@ on("add", "submit", async () => {
   byId("add-id").value = "";
 });
 on("edit", "click", async () => {
-  byId("document").value = JSON.stringify(record.site, null, 1);
-  while (await ask(byId("edit-dialog")) === "yes") {
-    const saved = await attempt(async () => { await change(() => JSON.parse(byId("document").value)); return true; });
-    if (saved) return;
-  }
+  if (await editSite(siteId)) await show();
 });
 on("rename", "click", async () => {
   byId("new-name").value = record.name;
