@@ -55,6 +55,26 @@ def test_jobs_are_listed_and_filtered(signed_in: Visit, job: str) -> None:
     page.wait_for_url(f"**/jobs/{job}")
 
 
+def test_older_jobs_are_a_click_away(signed_in: Visit, api: LiveApi) -> None:
+    """Three jobs, by pages of two in place of fifty."""
+    site = api.site(cameras=1)
+    api.upload(site, b"of several jobs")
+    made = [api.http.post(f"/v1/sites/{site}/jobs", json={"name": name}).json() for name in ("one", "two", "three")]
+    page = signed_in.page
+    page.route("**/v1/jobs?*limit=50*", lambda route: route.continue_(url=route.request.url.replace("=50", "=2")))
+    signed_in.open(f"/jobs?site={site}")
+    names = page.locator("#jobs tbody th a")
+    names.nth(1).wait_for()
+    assert names.all_inner_texts() == ["three", "two"]
+    more = page.get_by_role("button", name="Older jobs")
+    more.click()
+    names.nth(2).wait_for()
+    assert names.all_inner_texts() == ["three", "two", "one"]
+    assert not more.is_visible(), "there are no older ones"
+    for job in made:
+        api.http.post(f"/v1/jobs/{job['id']}/cancel")
+
+
 def test_an_answer_that_comes_late_does_not_undo_a_later_filter(signed_in: Visit, job: str) -> None:
     page = signed_in.page
     page.get_by_role("link", name="first try").wait_for()
