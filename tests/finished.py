@@ -94,17 +94,19 @@ def finished_job(
     onnx: bool = True,
     weights: bytes = bytes(range(256)) * 4,
     tracked: Sequence[Track] | None = None,
+    conflicts: Sequence[ConflictRow] = (CONFLICT,),
 ) -> str:
     """Create a job and publish small outputs for each of its stages; returns its id.
 
     Jobs with the same recording share their outputs. Without ``onnx`` there is no ``weights.onnx``, as in old jobs.
     ``weights`` are no network unless others are given. ``tracked`` are in place of `tracks`.
+    Jobs that share a recording need the same ``conflicts``.
     """
     site = api.site(cameras=1)
     api.upload(site, recording)
     job_id = str(api.http.post(f"/v1/sites/{site}/jobs", json={}).json()["id"])
     there = tracks() if tracked is None else tracked
-    publish(api, job_id, lambda stage, folder: _write(stage, folder, onnx, weights, there))
+    publish(api, job_id, lambda stage, folder: _write(stage, folder, onnx, weights, there, conflicts))
     return job_id
 
 
@@ -144,7 +146,14 @@ def _assert_same(there: Mapping[str, FileFacts], stage: str, write: Callable[[st
     )
 
 
-def _write(stage: str, folder: Path, onnx: bool, weights: bytes, tracked: Sequence[Track]) -> None:
+def _write(
+    stage: str,
+    folder: Path,
+    onnx: bool,
+    weights: bytes,
+    tracked: Sequence[Track],
+    conflicts: Sequence[ConflictRow] = (CONFLICT,),
+) -> None:
     writer = ArtifactWriter(stage, folder, made_by(stage))
     if stage == "preflight":
         writer.write(catalogue.PROBE, Probe(cameras={"cam1": VIDEO}))
@@ -159,6 +168,6 @@ def _write(stage: str, folder: Path, onnx: bool, weights: bytes, tracked: Sequen
     if stage == "track":
         writer.write(catalogue.TRACKS, tracked)
     if stage == "safety":
-        writer.write(catalogue.CONFLICTS, Conflicts(thresholds={"ttc_s": 3.0}, conflicts=[CONFLICT]))
+        writer.write(catalogue.CONFLICTS, Conflicts(thresholds={"ttc_s": 3.0}, conflicts=list(conflicts)))
     if stage == "report":
         writer.write(catalogue.REPORT, "<h1>report</h1>")

@@ -7,7 +7,7 @@ import re
 import pytest
 
 from tests.browser.conftest import Visit
-from tests.finished import finished_job
+from tests.finished import CONFLICT, finished_job
 from tests.service import LiveApi
 
 
@@ -30,6 +30,29 @@ def test_a_limit_counts_in_itself(signed_in: Visit, job: str, label: str, fits: 
     if fits:
         page.get_by_label(label).fill(fits)
         page.get_by_text("1 of 1 conflicts").wait_for()
+
+
+def test_conflicts_are_filtered_by_type_and_by_class(signed_in: Visit, api: LiveApi) -> None:
+    kinds = (("crossing", ("car", "bus")), ("rear_end", ("car", "car")), ("rear_end", ("truck", "bus")))
+    conflicts = [
+        CONFLICT.model_copy(update={"conflict_id": number, "type": kind, "classes": classes})
+        for number, (kind, classes) in enumerate(kinds)
+    ]
+    page = signed_in.open(f"/jobs/{finished_job(api, b'of several kinds', conflicts=conflicts)}/conflicts")
+    page.get_by_text("3 of 3 conflicts").wait_for()
+    numbers = page.locator("#conflicts tbody th small")
+    for kind, of_class, found in (
+        ("rear_end", "", "12"),
+        ("rear_end", "bus", "2"),
+        ("", "bus", "02"),
+        ("", "car", "01"),
+    ):
+        page.locator("#type").select_option(kind)
+        page.locator("#class").select_option(of_class)
+        assert numbers.all_inner_texts() == [f"no. {number}" for number in found]
+    page.locator("#type").select_option("crossing")
+    page.locator("#class").select_option("truck")
+    page.get_by_text("No conflict is like that").wait_for()
 
 
 def test_a_mark_on_the_heat_map_opens_the_player_at_its_moment(signed_in: Visit, job: str) -> None:
