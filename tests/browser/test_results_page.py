@@ -10,6 +10,17 @@ from tests.browser.conftest import Visit
 from tests.finished import finished_job
 from tests.service import LiveApi
 
+#: What figures show: title, lengths of bars by their titles (px), and places of round marks (px).
+FIGURES = """async ([metrics, statistics]) => {
+  const { dataFigures, qualityFigures } = await import("/static/js/resultfigures.js");
+  return [...qualityFigures(metrics), ...dataFigures(statistics)].map((one) => ({
+    title: one.querySelector("h3").textContent,
+    bars: [...one.querySelectorAll("svg.chart rect")].map((bar) =>
+      [bar.textContent, Number(bar.getAttribute("height"))]),
+    marks: [...one.querySelectorAll("svg.chart circle")].map((mark) =>
+      [Number(mark.getAttribute("cx")), Number(mark.getAttribute("cy"))]),
+  }));
+}"""
 #: How far the trajectories lie beneath what is seen, px.
 BENEATH = "document.getElementById('tracks').getBoundingClientRect().top - window.innerHeight"
 
@@ -65,3 +76,44 @@ def test_a_figure_that_cannot_be_loaded_says_what_to_do(signed_in: Visit, job: s
     page.reload()
     page.locator("#tracks path.line").wait_for(state="attached")
     signed_in.forgive("ERR_FAILED")
+
+
+def test_bars_and_marks_are_as_high_as_the_numbers(signed_in: Visit) -> None:
+    """By visibility, reliability, and what the data set holds."""
+
+    def part(low: float, high: float, iou: float) -> dict[str, object]:
+        return {"low": low, "high": high, "bev_iou": {"mean": iou, "sd": 0.1}, "recall": 0.5, "matched": 3, "missed": 3}
+
+    metrics = {
+        "by_visibility": {
+            "baseline": [part(0, 0.5, 0.2), part(0.5, 1, 0.4)],
+            "finetuned": [part(0, 0.5, 0.6), part(0.5, 1, 0.8)],
+        },
+        "reliability": {
+            "finetuned": {
+                "yaw": {"count": 9, "coverage": {"level": [0.5, 1], "laplace": [0.25, 0.75], "normal": [0, 1]}}
+            }
+        },
+    }
+    counts = {"by_views": {"2": 30, "3": 10}, "by_class": {"car": 6, "bus": 2}, "boxes_by_camera": {"cam1": 8}}
+    histogram = {"edges": [0, 10, 20], "counts": [1, 4]}
+    spread = dict.fromkeys(("depth_m", "elevation_deg", "vehicles_per_instant", "sightings_per_track"), histogram)
+    signed_in.page.get_by_role("heading", name="Jobs").wait_for()
+    found = signed_in.page.evaluate(FIGURES, [metrics, {**counts, **spread}])
+    shown = {one["title"]: one for one in found}
+    assert len(shown) == 9
+    for title, heights in (
+        (
+            "By visibility",
+            {"Baseline, 0–50": 0.2, "Fine-tuned, 0–50": 0.6, "Baseline, 50–100": 0.4, "Fine-tuned, 50–100": 0.8},
+        ),
+        ("Views of a vehicle", {"Views of a vehicle, 2": 30, "Views of a vehicle, 3": 10}),
+        ("Road users by class", {"Road users by class, car": 6, "Road users by class, bus": 2}),
+        ("Distance", {"Distance, 0": 1, "Distance, 10": 4}),
+    ):
+        bars = {text.rpartition(":")[0]: height for text, height in shown[title]["bars"]}
+        assert set(bars) == set(heights)
+        per_unit = [bars[name] / value for name, value in heights.items()]
+        assert per_unit == pytest.approx([per_unit[0]] * len(per_unit)) and per_unit[0] > 0
+    (x, y), (x_later, y_later) = shown["Reliability of yaw"]["marks"]
+    assert x_later > x and y_later < y, "half of the errors more lie within the wider intervals"
