@@ -18,6 +18,7 @@ export class Plan extends CanvasView {
     this.map = null;
     new ResizeObserver(() => this.redraw()).observe(canvas);
     document.addEventListener("wibam-theme", () => this.redraw());
+    matchMedia("print").addEventListener("change", () => this.drawNow()); // paper has the light colours, and waits for no frame
   }
 
   /** @param {number[]} point @returns {number[]} */
