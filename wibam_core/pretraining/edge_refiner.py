@@ -93,7 +93,7 @@ def patches(plan: PoolPlan, first: int, count: int) -> list[Patch]:
     """The vehicles of ``count`` views of a plan, of which ``first`` were rendered before."""
     found: list[Patch] = []
     for done in range(0, count, VIEWS_PER_SITE):
-        of_site = replace(plan, size_px=SIZES_PX[done // VIEWS_PER_SITE % len(SIZES_PX)])
+        of_site = replace(plan, size_px=SIZES_PX[(first + done) // VIEWS_PER_SITE % len(SIZES_PX)])
         for view in of_site.views(first + done, min(VIEWS_PER_SITE, count - done)):
             found += [_patch(view, row) for row in np.flatnonzero(is_taught(view)).tolist()]
     return found

@@ -127,8 +127,9 @@ def _is_beside(path: Path) -> bool:
 
 def _listed(folder: Path, camera_id: str, name: str) -> RecordingFile:
     for inside in (folder / camera_id, folder):
-        for path in inside.iterdir() if inside.is_dir() else ():
-            if nfc(path.name) == name and path.is_file():
+        others = sorted(inside.iterdir()) if inside.is_dir() else []
+        for path in (inside / name, *(other for other in others if nfc(other.name) == name)):
+            if path.is_file():
                 return RecordingFile(path, name)
     raise MissingCamera(
         f"{name}, a recording of camera {camera_id}, is not there",

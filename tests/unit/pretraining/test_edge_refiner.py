@@ -44,6 +44,18 @@ def test_patches_show_the_vehicles_and_know_both_boxes() -> None:
     assert any((patch.whole - patch.seen)[2] > 5 for patch in found), "some are partly hidden"
 
 
+def test_the_sizes_of_images_go_on_where_the_views_of_before_ended(monkeypatch: pytest.MonkeyPatch) -> None:
+    rendered: list[tuple[int, tuple[int, int]]] = []
+    monkeypatch.setattr(
+        PoolPlan, "views", lambda plan, first, count: rendered.append((first, plan.size_px)) or iter(())
+    )
+    patches(PLAN, 0, 80)
+    at_once, rendered[:] = rendered[:], []
+    for first in range(0, 80, 20):
+        patches(PLAN, first, 20)
+    assert rendered == at_once and {size for _, size in rendered} == set(edge_refiner.SIZES_PX)
+
+
 def test_a_crop_keeps_the_edges_where_they_are_in_the_image() -> None:
     """A bright rectangle on a dark ground: its border in the crop lies where the labels say."""
     pixels = np.zeros((120, 160, 7), np.uint8)

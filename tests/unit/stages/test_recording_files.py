@@ -11,7 +11,7 @@ from tests.builders import corner_rig, site_of
 from wibam_core.artifacts.access import MANIFEST
 from wibam_core.errors import MissingCamera, SiteFileError
 from wibam_core.stages.graph import STAGES
-from wibam_core.stages.recording_files import digest_of, unclaimed
+from wibam_core.stages.recording_files import digest_of, find_recording, unclaimed
 from wibam_core.stages.runner import SiteFolder
 
 
@@ -56,6 +56,19 @@ def test_a_list_means_a_file_whose_letters_and_accents_are_kept_apart(tmp_path: 
     folder = folder_with(tmp_path, "cam1.mp4", f"cam2/{there[0]}", there[1], cam2=listed)
     assert names_of(folder, "cam2") == names
     assert not unclaimed(tmp_path / "recordings", folder.site.cameras)
+
+
+@pytest.mark.parametrize("first", ["NFC", "NFD"])
+def test_of_two_files_that_differ_in_how_accents_are_kept_the_one_named_as_listed_is_taken(
+    tmp_path: Path, first: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    name = "S\u00fcd.mp4"
+    for form in ("NFC", "NFD"):
+        (tmp_path / unicodedata.normalize(form, name)).touch()
+    in_order = sorted(tmp_path.iterdir(), key=lambda path: not unicodedata.is_normalized(first, path.name))
+    monkeypatch.setattr(Path, "iterdir", lambda _: iter(in_order))
+    recording = find_recording(tmp_path, "cam2", [name])
+    assert recording is not None and [file.path.name for file in recording.files] == [name]
 
 
 def test_a_listed_file_that_is_not_there_is_named(tmp_path: Path) -> None:

@@ -124,7 +124,7 @@ def test_what_is_remembered_does_not_grow_with_the_footage() -> None:
 
 
 def test_nothing_comes_before_what_is_pending() -> None:
-    detections = seen([parked(3.0, 5.0), *(driving(10 + 30 * k, 20 + 30 * k, 0.0) for k in range(8))], 5 * SHORT_LAG_S)
+    detections = seen([parked(3.0, 5.0), *(driving(10 + 30 * k, 20 + 30 * k, 0.0) for k in range(3))], 5 * SHORT_LAG_S)
     stream = TrackStream(TrackConfig(), SHORT_LAG_S)
     pending_ns = -1
     for number, (time_ns, found) in enumerate(detections):
