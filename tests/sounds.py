@@ -85,13 +85,14 @@ def add_sound(
     codec: str = "aac",
     sample_format: str = "fltp",
     begin_s: float = 0.0,
+    rate_hz: int = RATE_HZ,
     **options: str,
 ) -> Path:
     """The pictures of a recording as they are, and sound that begins ``begin_s`` on the recording's clock."""
     with av.open(str(source)) as opened, av.open(str(path), "w", options=options) as output:
         pictures = opened.streams.video[0]
         copied = output.add_stream_from_template(pictures)
-        added = [output.add_stream(codec, rate=RATE_HZ, layout="mono", format=sample_format) for _ in tracks]
+        added = [output.add_stream(codec, rate=rate_hz, layout="mono", format=sample_format) for _ in tracks]
         packets = []
         for packet in opened.demux(pictures):
             if packet.size:
@@ -102,8 +103,8 @@ def add_sound(
                 frame = av.AudioFrame.from_ndarray(
                     samples[None, begin : begin + 1024].astype(np.float32), "fltp", "mono"
                 )
-                frame.sample_rate, frame.time_base = RATE_HZ, Fraction(1, RATE_HZ)
-                frame.pts = begin + round(begin_s * RATE_HZ)
+                frame.sample_rate, frame.time_base = rate_hz, Fraction(1, rate_hz)
+                frame.pts = begin + round(begin_s * rate_hz)
                 packets += stream.encode(frame)
             packets += stream.encode(None)
         for packet in sorted(packets, key=lambda one: float((one.dts or 0) * one.time_base)):

@@ -21,8 +21,9 @@ from wibam_core.video.timeline import UNUSED, TimedFile, read_timeline
 
 Array = NDArray[np.float64]
 
+_STEPS_PER_S = 40
 #: Loudness is told once in so long.
-STEP_S = 0.025
+STEP_S = 1 / _STEPS_PER_S
 #: Limits of the bands, Hz: wind and the hum of engines and mains lie below, which microphones do not share.
 BANDS_HZ = (250.0, 700.0, 1500.0, 3000.0, 6000.0)
 #: Decoders of sound that may read an upload.
@@ -191,11 +192,12 @@ class _Meter:
 
     def __init__(self, rate_hz: int) -> None:
         self._rate_hz = rate_hz
-        self._length = round(rate_hz * STEP_S)
+        self._length = rate_hz // _STEPS_PER_S
         self._window = np.hanning(self._length)
         places = np.fft.rfftfreq(self._length, 1 / rate_hz)
         self._bands = [(places >= low) & (places < high) for low, high in pairwise(BANDS_HZ)]
         self._left: Array = np.empty(0)
+        self._number = 0  # of the step that comes next, in its second
         self._ends_ns: int | None = None
 
     def add(self, frame: AudioFrame, shift_ns: int) -> Iterator[tuple[int, Array]]:
@@ -206,17 +208,25 @@ class _Meter:
 
     def feed(self, samples: Array, begin_ns: int) -> Iterator[tuple[int, Array]]:
         if self._ends_ns is not None and abs(begin_ns - self._ends_ns) > 1e9 * _JUMP_S:
-            self._left = np.empty(0)
+            self._left, self._number = np.empty(0), 0
         begin_ns -= round(len(self._left) / self._rate_hz * 1e9)
         samples = np.concatenate([self._left, samples])
-        count = len(samples) // self._length
-        steps = samples[: count * self._length].reshape(count, self._length)
+        begins = self._begins(len(samples) // self._length + 1)
+        count = int(np.searchsorted(begins, len(samples), side="right")) - 1
+        steps = samples[begins[:count, None] + np.arange(self._length)]
         power = np.abs(np.fft.rfft(steps * self._window, axis=1)) ** 2 / self._length**2
         for k in range(count):
-            middle_ns = begin_ns + round((k + 0.5) * self._length / self._rate_hz * 1e9)
+            middle_ns = begin_ns + round((int(begins[k]) + 0.5 * self._length) / self._rate_hz * 1e9)
             yield middle_ns, np.array([power[k, band].sum() for band in self._bands])
-        self._left = samples[count * self._length :]
+        self._left = samples[begins[count] :]
+        self._number = (self._number + count) % _STEPS_PER_S
         self._ends_ns = begin_ns + round(len(samples) / self._rate_hz * 1e9)
+
+    def _begins(self, count: int) -> NDArray[np.int64]:
+        """(count + 1,) samples until each next step begins: whole ones, however many a step has by the rate."""
+        numbers = self._number + np.arange(count + 1, dtype=np.int64)
+        begins = (2 * numbers * self._rate_hz + _STEPS_PER_S) // (2 * _STEPS_PER_S)
+        return np.asarray(begins - begins[0])
 
 
 def _mono(frame: AudioFrame) -> Array:

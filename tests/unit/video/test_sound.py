@@ -6,7 +6,7 @@ from tests.recordings import write_recording
 from tests.sounds import RATE_HZ, add_sound
 from wibam_core.video.probe import probe
 from wibam_core.video.recording import Recording
-from wibam_core.video.sound import STEP_S, has_sound, hear
+from wibam_core.video.sound import STEP_S, has_sound, hear, sound_of_samples
 
 SECONDS, BANG_S = 8.0, 5.2125
 
@@ -74,6 +74,21 @@ def test_a_clock_that_jumps_moves_sound_and_pictures_alike(pictures, tmp_path):
     assert float(sound.times_s[later][np.nanargmax(sound.power[later].sum(axis=1))]) == pytest.approx(
         second.first_ns / 1e9 + 3.0, abs=2 * STEP_S
     )
+
+
+@pytest.mark.parametrize("rate_hz", [11_025, 22_050, 44_100])
+def test_loudness_is_told_at_every_step_of_any_rate(tmp_path, rate_hz):
+    """11,025 and 22,050 are no multiples of 40: a step has 275 or 276, and 551 or 552 samples."""
+    seconds, bang_s = 60, 55.0125
+    pictures = write_recording(tmp_path / "silent.mp4", seconds=1.0)
+    samples = np.random.default_rng(0).normal(size=seconds * rate_hz) * 1e-3
+    at = round(bang_s * rate_hz)
+    samples[at - 50 : at + 50] *= 300.0
+    path = add_sound(pictures, tmp_path / "a.mkv", [samples], codec="pcm_s16le", sample_format="s16", rate_hz=rate_hz)
+    power = hear(Recording.at(path)).power.sum(axis=1)
+    assert len(power) == seconds / STEP_S and np.isfinite(power).all()
+    assert np.argmax(power) == int(bang_s / STEP_S)
+    np.testing.assert_allclose(power, sound_of_samples(samples, rate_hz).power.sum(axis=1), rtol=0.1)
 
 
 def test_chapters_are_heard_one_after_the_other(pictures, tmp_path):
