@@ -6,6 +6,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+import cv2
 import numpy as np
 import pytest
 
@@ -153,6 +154,45 @@ def test_an_area_is_drawn_corner_by_corner(signed_in: Visit, api: LiveApi, job: 
     page.wait_for_function("count => document.querySelectorAll('#present option').length === count + 1", arg=there)
     page.wait_for_function("() => document.getElementById('waiting').textContent === ''")
     assert there < 2
+
+
+def test_an_area_waits_for_a_field_that_is_not_valid(signed_in: Visit, job: str) -> None:
+    page = signed_in.open(f"/jobs/{job}/player?time_ns=1000000000")
+    page.get_by_text("100 of 100 states").wait_for()
+    page.get_by_role("button", name="Draw an area").click()
+    page.locator("#min-speed").fill("-1")
+    page.locator("#plan").focus()
+    for key in ("ArrowRight", "ArrowDown", "ArrowLeft"):
+        page.keyboard.press(key)
+        page.keyboard.press("Enter")
+        page.locator("#plan").focus()
+    page.get_by_role("button", name="One step forward").click()
+    assert page.locator("#clock").inner_text() == "0:01.1"
+    assert page.locator("#present option").count() == 3, "nobody is hidden by an area that was not asked for"
+    assert "polygon" not in page.locator("#query-url").inner_text()
+
+
+def test_frames_that_are_given_back_are_closed_and_none_is_asked_for(signed_in: Visit) -> None:
+    """Of 20 that are wanted six are asked for at a time: they arrive, or do not, and the others never begin."""
+    jpeg = cv2.imencode(".jpg", np.zeros((36, 64, 3), np.uint8))[1].tobytes()
+    signed_in.page.route("**/frames/**", lambda route: route.fulfill(body=jpeg, content_type="image/jpeg"))
+    asked: list[str] = []
+    signed_in.page.on("request", lambda request: asked.append(request.url) if "/frames/" in request.url else None)
+    width = signed_in.page.evaluate("""async () => {
+      const { FrameCache } = await import("/static/js/frames.js");
+      const wanted = Array.from({ length: 20 }, (_, index) => ["north", index]);
+      const image = await new Promise((done) => {
+        const cache = new FrameCache("job", 480, () => {
+          const found = cache.get("north", 0);
+          if (found) { cache.close(); done(found); }
+        });
+        cache.want(wanted);
+      });
+      await new Promise((done) => setTimeout(done, 300));
+      return image.width;
+    }""")
+    assert width == 0, "closed"
+    assert 6 <= len(asked) < 20
 
 
 def test_an_area_has_no_more_corners_than_the_service_takes(signed_in: Visit, job: str) -> None:

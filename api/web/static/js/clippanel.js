@@ -22,9 +22,21 @@ export class ClipPanel {
     byId("clip-form").addEventListener("submit", (/** @type {Event} */ event) => { event.preventDefault(); attempt(() => this.#ask()); });
     byId("clip-start").addEventListener("click", () => { byId("clip-from").value = (nowNs() / 1e9).toFixed(1); });
     byId("clip-end").addEventListener("click", () => { byId("clip-to").value = (nowNs() / 1e9).toFixed(1); });
-    const [first, last] = ends();
-    byId("clip-from").value = (first / 1e9).toFixed(1);
-    byId("clip-to").value = (Math.min(last, first + 10e9) / 1e9).toFixed(1);
+    this.ends = ends;
+    this.suggested = ["", ""];
+    this.#suggest();
+    attempt(() => this.look());
+  }
+
+  #suggest() {
+    const [first, last] = this.ends();
+    this.suggested = [first, Math.min(last, first + 10e9)].map((ns) => (ns / 1e9).toFixed(1));
+    [byId("clip-from").value, byId("clip-to").value] = this.suggested;
+  }
+
+  /** There are other tracks: times that nobody has chosen follow them, and clips may have become outdated. */
+  renew() {
+    if (byId("clip-from").value === this.suggested[0] && byId("clip-to").value === this.suggested[1]) this.#suggest();
     attempt(() => this.look());
   }
 

@@ -14,6 +14,15 @@ export class FrameCache {
     /** @type {Array<[string, number]>} */
     this.wanted = [];
     this.loading = 0;
+    this.closed = new AbortController();
+  }
+
+  /** Give back all frames, and ask for none any more. */
+  close() {
+    this.closed.abort();
+    this.wanted = [];
+    for (const image of this.kept.values()) image?.close();
+    this.kept.clear();
   }
 
   /** The frame, or undefined while it is on its way. @param {string} camera @param {number} timeNs */
@@ -40,9 +49,12 @@ export class FrameCache {
   /** @param {string} camera @param {number} time @param {string} key */
   async #load(camera, time, key) {
     try {
-      const response = await fetch(`/v1/jobs/${this.jobId}/frames/${encodeURIComponent(camera)}?time_ns=${time}&width_px=${this.widthPx}`);
-      this.kept.set(key, response.ok ? await createImageBitmap(await response.blob()) : null);
+      const response = await fetch(`/v1/jobs/${this.jobId}/frames/${encodeURIComponent(camera)}?time_ns=${time}&width_px=${this.widthPx}`, { signal: this.closed.signal });
+      const image = response.ok ? await createImageBitmap(await response.blob()) : null;
+      if (this.closed.signal.aborted) { image?.close(); return; }
+      this.kept.set(key, image);
     } catch {
+      if (this.closed.signal.aborted) return;
       this.kept.delete(key); // asked for again when it is next needed
     }
     this.loading -= 1;

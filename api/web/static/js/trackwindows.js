@@ -32,7 +32,7 @@ export class TrackWindows {
    * @param {string} jobId @param {number} firstNs of all states @param {number} lastNs
    * @param {{version: string, frames: boolean, arrived: () => void, failed: (error: unknown) => void, changed: () => void}} page
    *   `version`: the SHA-256 of the job's tracks; `frames`: whether any are stored; `arrived`: there is more to show; `changed`: the
-   *   job has been restarted, and nothing more is asked for
+   *   job may have been restarted, and nothing more is asked for until the page takes `over` back
    */
   constructor(jobId, firstNs, lastNs, page) {
     this.path = `/v1/jobs/${jobId}`;
@@ -83,10 +83,10 @@ export class TrackWindows {
     this.no.clear(); // the area before may have been what was refused
   }
 
-  /** Whether a state is in the area; undefined as long as the service has not said so. @param {import("./trackdata.js").State} state @returns {boolean|undefined} */
+  /** Whether a state is in the area; undefined as long as the service has not said so, and where none was asked for. @param {import("./trackdata.js").State} state @returns {boolean|undefined} */
   inside(state) {
     const part = this.parts.get(this.#number(state.time_ns));
-    return part?.area === this.area ? part.inside.has(keyOf(state)) : undefined;
+    return this.area !== null && part?.area === this.area ? part.inside.has(keyOf(state)) : undefined;
   }
 
   /** Whether the service has refused to say what is known of a time. @param {number} timeNs */
@@ -148,15 +148,21 @@ export class TrackWindows {
       if (error instanceof OtherTracks || /** @type {any} */ (error).status === 409) {
         if (!this.over) this.page.changed();
         this.over = true;
+        this.#pause();
         return;
       }
       if (!this.said) this.page.failed(error);
       this.said = true;
       const status = /** @type {any} */ (error).status ?? 0;
       if (status >= 400 && status < 500 && !PASSING.includes(status)) { this.no.add(number); this.page.arrived(); return; }
-      this.failing = true;
-      setTimeout(() => { this.failing = false; this.page.arrived(); }, AGAIN_MS);
+      this.#pause();
     }
+  }
+
+  /** Ask for nothing for a moment. */
+  #pause() {
+    this.failing = true;
+    setTimeout(() => { this.failing = false; this.page.arrived(); }, AGAIN_MS);
   }
 
   /** @param {number} number @returns {[number, number]} ns */

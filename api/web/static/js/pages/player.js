@@ -18,8 +18,8 @@ const FRAME_PX = 480, AHEAD = 12, KEPT_MEASURES = 600;
 const NEXT_NS = 1e9, AHEAD_NS = 4e9, HISTORY = 600, TYPED_MS = 300;
 /** For how long the slider must rest before tracks are fetched, ms. */
 const RESTS_MS = 100;
-/** What the service takes as an area; when a job without tracks is looked at again, ms. */
-const MOST_CORNERS = 100, AGAIN_MS = 5000;
+/** What the service takes as an area; when a job is looked at again that has no tracks, or did not answer, and when one that has, ms. */
+const MOST_CORNERS = 100, AGAIN_MS = 5000, RARELY_MS = 60_000;
 /** @type {import("../trackdata.js").Filter} */
 const filter = { classes: [], minSpeed: null, startNs: null, endNs: null, polygon: [] };
 /** All that was tracked, in short, and the stretch of it that is here. */
@@ -30,7 +30,7 @@ let cache = new FrameCache(jobId, FRAME_PX, redraw);
 const plan = new Plan(byId("plan"), (view, context) => drawRoad(view, context, shown()));
 let states = /** @type {import("../trackdata.js").State[]} */ ([]), pending = false, counting = new AbortController(), typed = 0, moving = 0;
 /** Of the tracks that are shown, the SHA-256; of none, nothing. */
-let version = "", looking = false, isListening = false;
+let version = "", looking = false, again = 0, clips = /** @type {ClipPanel|null} */ (null);
 
 /** @returns {import("../playerdraw.js").Shown} */
 function shown() {
@@ -222,11 +222,13 @@ async function count(signal) {
   byId("matched").textContent = `${found.tracks} of ${whole.tracks} road users, ${found.states} of ${whole.states} states${found.states ? `, from ${clock(found.first_ns / 1e9)} to ${clock(found.last_ns / 1e9)}` : ""}.`;
 }
 
-function filtered() {
+/** Show what the form asks for, in an area; as long as a field is not valid, filter and area stay as they were. @param {number[][]} [polygon] @returns {boolean} whether it is */
+function filtered(polygon = filter.polygon) {
+  if ([...byId("filter").elements].some(({ validity: is }) => is?.badInput || is?.rangeOverflow || is?.rangeUnderflow)) { byId("filter").reportValidity(); return false; }
+  filter.polygon = polygon;
   filter.classes = [...byId("classes").querySelectorAll("input:checked")].map((input) => /** @type {HTMLInputElement} */ (input).value);
   if (filter.classes.length === byId("classes").querySelectorAll("input").length) filter.classes = [];
   const value = (/** @type {string} */ id, /** @type {number} */ factor) => (byId(id).value === "" ? null : Math.round(Number(byId(id).value) * factor));
-  if ([...byId("filter").elements].some(({ validity: is }) => is?.badInput || is?.rangeOverflow || is?.rangeUnderflow)) { byId("filter").reportValidity(); return; } // the filter stays as it was
   const speed = value("min-speed", 100);
   filter.minSpeed = speed === null ? null : speed / 100;
   filter.startNs = value("from", 1e9);
@@ -234,14 +236,14 @@ function filtered() {
   known.within(parameters(filter).polygon);
   showQuery();
   show(now);
+  return true;
 }
 
 /** @param {number[]} world */
 function clickPlan(world) {
   if (byId("draw").getAttribute("aria-pressed") === "true") {
     if (filter.polygon.length >= MOST_CORNERS) { complain(new Problem(`an area has at most ${MOST_CORNERS} corners`, { hint: "Press “Done”, or draw it anew with fewer." })); return; }
-    filter.polygon = [...filter.polygon, world.map((value) => Number(value.toFixed(2)))];
-    filtered();
+    filtered([...filter.polygon, world.map((value) => Number(value.toFixed(2)))]);
     return;
   }
   const hit = states.find((state) => inside(footprint(boxOf(state)), world[0], world[1])) ?? states.find((state) => Math.hypot(state.x_m - world[0], state.y_m - world[1]) < 10 / plan.pxPerM);
@@ -274,17 +276,17 @@ function listen() {
   for (const id of ["colour", "trail", "boxes"]) byId(id).addEventListener("input", () => show(now));
   byId("present").addEventListener("change", () => attempt(() => choose(byId("present").value === "" ? null : Number(byId("present").value))));
   byId("filter").addEventListener("submit", (/** @type {Event} */ event) => event.preventDefault());
-  byId("filter").addEventListener("input", filtered);
+  byId("filter").addEventListener("input", () => filtered());
   byId("draw").addEventListener("click", () => {
     const on = byId("draw").getAttribute("aria-pressed") !== "true";
+    if (on && !filtered([])) return;
     byId("draw").setAttribute("aria-pressed", String(on));
     byId("draw").textContent = on ? "Done: the corners are drawn" : "Draw an area";
-    if (on) { filter.polygon = []; filtered(); say("Click corners in the plan."); }
+    if (on) say("Click corners in the plan.");
   });
   byId("clear").addEventListener("click", () => {
     byId("filter").reset();
-    filter.polygon = [];
-    filtered();
+    filtered([]);
   });
   plan.onclick = clickPlan;
   document.addEventListener("keydown", keys);
@@ -309,18 +311,22 @@ async function versionNow() {
 async function renew() {
   if (looking || document.hidden) return;
   looking = true;
+  let wait = AGAIN_MS;
   try {
-    if (await versionNow() === version) { if (!version) lookAgain(); return; }
-    const hadTracks = version !== "";
-    await load(await Results.of(jobId));
-    if (hadTracks && version) fill(byId("nothing"), message("plain", "the job has made other tracks since", "They are shown now; ids may mean other road users than before."));
+    const hadTracks = version !== "", isSame = await versionNow() === version;
+    if (isSame && known.over && !byId("player").hidden) { known.over = false; show(now); }
+    if (!isSame && await load(await Results.of(jobId)) && hadTracks) fill(byId("nothing"), message("plain", "the job has made other tracks since", "They are shown now; ids may mean other road users than before."));
+    if (version) wait = RARELY_MS;
   } finally {
     looking = false;
+    lookAgain(wait);
   }
 }
 
-function lookAgain() {
-  window.setTimeout(() => attempt(renew), AGAIN_MS);
+/** @param {number} wait ms; whatever was to come before does not */
+function lookAgain(wait) {
+  clearTimeout(again);
+  again = window.setTimeout(() => attempt(renew), wait);
 }
 
 /** @param {string} text @param {string} hint */
@@ -331,19 +337,20 @@ function showNothing(text, hint) {
   fill(byId("nothing"), message("plain", text, hint));
 }
 
-/** Show what a job has tracked, with the filter and at the time that were chosen. @param {Results} made */
+/** Show what a job has tracked, with the filter and at the time that were chosen. If a request fails, all stays as it was. @param {Results} made @returns {Promise<boolean>} whether there is anything to show */
 async function load(made) {
   const scene = made.has("tracks") ? await made.scene() : null;
+  const [found, document_] = scene ? await Promise.all([get(`/v1/jobs/${jobId}/tracks/summary`), made.answer("conflicts", "/conflicts")]) : [null, null];
   version = scene ? made.files.find((one) => one.artifact === "tracks").sha256 : "";
-  if (!scene) { showNothing("there are no tracks yet", "They can be played once the stage “Track” has finished, and appear here by themselves."); lookAgain(); return; }
+  if (!scene) { showNothing("there are no tracks yet", "They can be played once the stage “Track” has finished, and appear here by themselves."); return false; }
+  if (!found.states) { showNothing("nothing was tracked", "The recordings may show no road user that the network knows."); return false; }
   cameras = scene.cameras.map((/** @type {any} */ camera) => new Camera(camera));
   classes = new Map(scene.classes.map((/** @type {any} */ one) => [one.name, one.colour]));
-  const [found, document_] = await Promise.all([get(`/v1/jobs/${jobId}/tracks/summary`), made.answer("conflicts", "/conflicts")]);
-  if (!found.states) { showNothing("nothing was tracked", "The recordings may show no road user that the network knows."); return; }
   whole = found;
   conflicts = document_?.conflicts ?? [];
   known = new TrackWindows(jobId, whole.first_ns, whole.last_ns, { version, frames: made.has("frames"), arrived: () => show(now), failed: complain, changed: () => attempt(renew) });
   known.within(parameters(filter).polygon);
+  cache.close();
   cache = new FrameCache(jobId, FRAME_PX, redraw);
   [conflict, chosen] = [null, new Set()];
   fill(byId("nothing"));
@@ -367,20 +374,26 @@ async function load(made) {
   attempt(() => layMap(plan, `/v1/jobs/${jobId}/map?version=${scene.map?.version}`, scene.map));
   showMarks();
   showQuery();
-  if (isListening) { attempt(() => choose(null)); show(now); return; }
-  isListening = true;
+  if (clips) { clips.renew(); attempt(() => choose(null)); show(now); return true; }
   listen();
-  new ClipPanel(() => ({ filter, colour: byId("colour").value, trailS: Number(byId("trail").value), boxes: byId("boxes").checked, speed: Number(byId("speed").value) }), moment, () => [whole.first_ns, whole.last_ns + 1e8]);
+  clips = new ClipPanel(() => ({ filter, colour: byId("colour").value, trailS: Number(byId("trail").value), boxes: byId("boxes").checked, speed: Number(byId("speed").value) }), moment, () => [whole.first_ns, whole.last_ns + 1e8]);
   const asked = conflicts.find((one) => one.conflict_id === wholeNumber("conflict"));
   if (asked) openConflict(asked);
   else show(wholeNumber("time_ns") ?? whole.first_ns);
+  return true;
 }
 
 async function start() {
   const [, made] = await openJob();
-  await load(made);
   window.addEventListener("focus", () => attempt(renew));
   document.addEventListener("visibilitychange", () => attempt(renew));
+  looking = true;
+  try {
+    await load(made);
+  } finally {
+    looking = false;
+    lookAgain(version ? RARELY_MS : AGAIN_MS);
+  }
 }
 
 attempt(start);
