@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from tests.browser.conftest import Visit
+from tests.browser.labels import put, saved
 from tests.labelled_job import FIT_ERROR, TIMES_NS, labelled_job
 from tests.service import LiveApi, wait_until
 from tests.site_dataset import boxes_at
@@ -37,20 +38,6 @@ def labelling(signed_in: Visit, job: str, name: str) -> Visit:
     return signed_in
 
 
-def saved(api: LiveApi, job: str, name: str, time_ns: int = HERE) -> Any:
-    return api.http.get(f"/v1/jobs/{job}/labels/instants/{time_ns}", params={"set": name}).json()
-
-
-def put(api: LiveApi, job: str, name: str, version: int, vehicles: list[Any], author: str = "ben") -> None:
-    answer = api.http.put(
-        f"/v1/jobs/{job}/labels/instants/{HERE}",
-        params={"set": name},
-        headers={"If-Match": f'"{version}"'},
-        json={"author": author, "vehicles": vehicles, "finished": True},
-    )
-    assert answer.status_code == 200, answer.text
-
-
 def test_nothing_can_be_changed_while_an_instant_is_loading(
     api: LiveApi, labelling: Visit, job: str, name: str
 ) -> None:
@@ -73,7 +60,7 @@ def test_nothing_can_be_changed_while_an_instant_is_loading(
     page.keyboard.press("i")
     page.get_by_text("saved as version 1").wait_for()
     assert len(saved(api, job, name, NEXT)["labels"]["vehicles"]) == 1
-    assert saved(api, job, name)["version"] == 1
+    assert saved(api, job, name, HERE)["version"] == 1
 
 
 def test_an_instant_that_was_left_unsaved_is_saved_and_merged_without_the_one_that_is_shown(
@@ -88,16 +75,16 @@ def test_an_instant_that_was_left_unsaved_is_saved_and_merged_without_the_one_th
     )
     page.keyboard.press("ArrowUp")
     page.get_by_text("not saved").wait_for()
-    first, second = saved(api, job, name)["labels"]["vehicles"]
-    put(api, job, name, 1, [first, {**second, "class": "bus"}])
+    first, second = saved(api, job, name, HERE)["labels"]["vehicles"]
+    put(api, job, name, HERE, 1, [first, {**second, "class": "bus"}])
     page.locator("#instant").select_option(str(NEXT))
     page.evaluate("document.activeElement.blur()")
     page.get_by_text("not labelled yet").wait_for()
     page.unroute_all()
     page.get_by_text("ben saved this instant meanwhile").wait_for()
     page.get_by_role("button", name="Go on with this").click()
-    wait_until(lambda: saved(api, job, name)["version"] == 3)
-    mine, theirs = saved(api, job, name)["labels"]["vehicles"]
+    wait_until(lambda: saved(api, job, name, HERE)["version"] == 3)
+    mine, theirs = saved(api, job, name, HERE)["labels"]["vehicles"]
     assert mine["box"][:2] != first["box"][:2]
     assert theirs["class"] == "bus"
     assert page.locator("#present option").all_inner_texts() == ["none"]
@@ -118,7 +105,7 @@ def test_a_vehicle_is_snapped_put_on_the_ground_named_and_seen(
 
     def vehicle(version: int) -> Any:
         page.get_by_text(f"saved as version {version}").wait_for()
-        return saved(api, job, name)["labels"]["vehicles"][0]
+        return saved(api, job, name, HERE)["labels"]["vehicles"][0]
 
     fit = boxes_at(HERE)[0] + FIT_ERROR
     page.keyboard.press("Shift+ArrowUp")
@@ -139,11 +126,11 @@ def test_a_vehicle_is_snapped_put_on_the_ground_named_and_seen(
     assert vehicle(8)["ignored"]
     for _ in range(2):
         page.get_by_role("button", name="Undo").click()
-    wait_until(lambda: saved(api, job, name)["labels"]["vehicles"][0]["visibility"] == {})
-    undone = saved(api, job, name)["labels"]["vehicles"][0]
+    wait_until(lambda: saved(api, job, name, HERE)["labels"]["vehicles"][0]["visibility"] == {})
+    undone = saved(api, job, name, HERE)["labels"]["vehicles"][0]
     assert (undone["ignored"], undone["class"]) == (False, "truck")
     page.get_by_role("button", name="Redo").click()
-    wait_until(lambda: saved(api, job, name)["labels"]["vehicles"][0]["visibility"] == {"north": 0.4})
+    wait_until(lambda: saved(api, job, name, HERE)["labels"]["vehicles"][0]["visibility"] == {"north": 0.4})
 
 
 def test_two_people_are_compared(api: LiveApi, labelling: Visit, job: str, name: str) -> None:
@@ -154,8 +141,8 @@ def test_two_people_are_compared(api: LiveApi, labelling: Visit, job: str, name:
         for id_, box in ((7, first), (8, second))
     ]
     aside = first + [0.3, 0.4, 0, 0, 0, 0, np.radians(6)]
-    put(api, job, name, 0, both, "anna")
-    put(api, job, f"{name}-2", 0, [{**both[0], "box": aside.tolist()}])
+    put(api, job, name, HERE, 0, both, "anna")
+    put(api, job, f"{name}-2", HERE, 0, [{**both[0], "box": aside.tolist()}])
     page.get_by_label("Compare with the set").fill(f"{name}-2")
     page.get_by_role("button", name="Compare", exact=True).click()
     rows = page.locator("#agreement tr")

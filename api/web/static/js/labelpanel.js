@@ -6,6 +6,12 @@ const FIELDS = /** @type {Array<[string, number, number, number]>} name, place i
   ["x, m", 0, 1, 0.05], ["y, m", 1, 1, 0.05], ["z, m", 2, 1, 0.05], ["length, m", 3, 1, 0.05], ["width, m", 4, 1, 0.05], ["height, m", 5, 1, 0.05], ["yaw, °", 6, 180 / Math.PI, 1],
 ]);
 
+/** Whether an instant is there to be changed; says so where none is. @param {import("./labelmodel.js").Model} model @returns {boolean} */
+export function mayChange(model) {
+  if (!model.isOpen) byId("saved").textContent = "nothing can be changed until the instant is loaded";
+  return model.isOpen;
+}
+
 /** Make the fields, once. @param {{classes: string[], cameras: string[], update: (change: any, step: string|null) => void, current: () => any}} page */
 export function makePanel(page) {
   fill(byId("class"), page.classes.map((name) => h("option", { value: name }, name)));

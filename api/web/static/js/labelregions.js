@@ -1,5 +1,6 @@
 // Regions of an instant: on the ground, where nobody looks closely, and in a camera's picture, where something stands before the road.
 import { byId, fill, h, say } from "./dom.js";
+import { mayChange } from "./labelpanel.js";
 import { token } from "./plan.js";
 
 /**
@@ -50,8 +51,9 @@ export class RegionTool {
     say(kind === "hidden" ? "Click corners in one camera's picture; Enter ends, Escape drops it." : "Click corners in the plan or in a view; Enter ends, Escape drops it.");
   }
 
-  /** Take what was drawn. */
+  /** Take what was drawn; while an instant is loading, it stays drawn. */
   end() {
+    if (!mayChange(this.model)) return;
     const region = this.drawn;
     this.drawn = null;
     this.#show();
@@ -81,7 +83,7 @@ export class RegionTool {
     const polygon = input.value.split(";").map((/** @type {string} */ corner) => corner.trim().split(/[\s,]+/).map(Number));
     const wrong = polygon.length < 3 || polygon.some((/** @type {number[]} */ corner) => corner.length !== 2 || corner.some((value) => !Number.isFinite(value)));
     input.setCustomValidity(wrong ? "Three corners at least: x,y; x,y; x,y" : "");
-    if (!input.reportValidity()) return;
+    if (!input.reportValidity() || !mayChange(this.model)) return;
     input.value = "";
     this.model.replace(this.model.vehicles, { regions: [...this.model.regions, { kind: camera ? "hidden" : "do_not_care", camera, polygon }] });
   }
@@ -93,7 +95,7 @@ export class RegionTool {
 
   /** The list of all. */
   list() {
-    const remove = (/** @type {Region} */ region) => this.model.replace(this.model.vehicles, { regions: this.model.regions.filter((one) => one !== region) });
+    const remove = (/** @type {Region} */ region) => { if (mayChange(this.model)) this.model.replace(this.model.vehicles, { regions: this.model.regions.filter((one) => one !== region) }); };
     fill(byId("regions"), this.model.regions.map((region, index) => {
       const name = `${index + 1}: ${NAMES[region.kind]}${region.camera ? ` in ${region.camera}` : ""}, ${region.polygon.length} corners`;
       return h("li", null, name, " ", this.readOnly ? null : h("button.small.quiet", { type: "button", "aria-label": `Remove region ${name}`, onclick: () => remove(region) }, "Remove"));

@@ -39,10 +39,21 @@ export class LabelStore {
     this.busy = /** @type {Promise<void>|null} */ (null);
   }
 
-  /** What to show: as saved, or as left unsaved in this browser. @returns {Promise<{answer: any, draft: Draft|null}>} */
-  async open() {
+  /**
+   * What to show: as saved, or as left unsaved in this browser. Meanwhile nothing is saved, or the answer would be of before.
+   * @param {Promise<unknown>} beside what is needed to show it, too @param {AbortSignal} signal
+   * @returns {Promise<{answer: any, draft: Draft|null}>}
+   */
+  async open(beside, signal) {
     while (this.busy) await this.busy;
-    const answer = await get(this.path), kept = localStorage.getItem(this.key);
+    const opened = this.#open(beside, signal), done = () => { this.busy = null; };
+    this.busy = opened.then(done, done);
+    return opened;
+  }
+
+  /** @param {Promise<unknown>} beside @param {AbortSignal} signal @returns {Promise<{answer: any, draft: Draft|null}>} */
+  async #open(beside, signal) {
+    const [answer] = await Promise.all([get(this.path, { signal }), beside]), kept = localStorage.getItem(this.key);
     this.version = answer.version;
     this.base = answer.labels.vehicles;
     this.baseRegions = answer.labels.regions;

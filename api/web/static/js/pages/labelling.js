@@ -8,10 +8,11 @@ import { jobId, openJob, readOnly } from "../jobtabs.js";
 import { layMap } from "../maplayer.js";
 import { drawCuboids, drawVehicles, gripInPlan, gripInView } from "../labeldraw.js";
 import { showAgreement } from "../labelagreement.js";
+import { around, nearest, sharesSeen, showProgress } from "../labelinstants.js";
 import { boxAfterKey, boxAfterWheel } from "../labelkeys.js";
 import { grounded, heading, later, Model } from "../labelmodel.js";
 import { settle } from "../labelmerge.js";
-import { makePanel, showVehicle } from "../labelpanel.js";
+import { makePanel, mayChange, showVehicle } from "../labelpanel.js";
 import { draggedInPlan, draggedInView } from "../labelpointer.js";
 import { RegionTool } from "../labelregions.js";
 import { LabelStore } from "../labelstore.js";
@@ -21,7 +22,7 @@ import { Camera } from "../projection.js";
 
 /** @typedef {import("../labelmodel.js").Vehicle} Vehicle */
 /** @typedef {import("../labeldraw.js").Grip} Grip */
-const FRAME_PX = 1280, SUGGESTED = 20, SNAP_M = 4, MOTION_S = 2.5, KEPT_MEASURES = 600, NEAR_NS = 1e6, FAR_NS = 1e9;
+const FRAME_PX = 1280, SUGGESTED = 20, SNAP_M = 4, MOTION_S = 2.5, KEPT_MEASURES = 600, NEAR_NS = 1e6;
 let cameras = /** @type {Camera[]} */ ([]), classes = /** @type {any[]} */ ([]), colours = /** @type {Map<string, string>} */ (new Map());
 /** Camera -> when it exposed its frame of the instant that is open. */
 let exposures = /** @type {Object<string, number|null>} */ ({});
@@ -29,7 +30,8 @@ let parts = /** @type {Object<string, number[]>} */ ({}), test = /** @type {numb
 let timeNs = NaN, proposals = /** @type {Vehicle[]} */ ([]), seen = /** @type {Object<string, Object<number, number>>} */ ({});
 let store = /** @type {LabelStore|null} */ (null), placing = false, from = /** @type {{timeNs: number, boxes: Map<number, number[]>}|null} */ (null);
 const stores = /** @type {Map<string, LabelStore>} */ (new Map());
-let drag = /** @type {{grip: Grip, vehicle: Vehicle, at: number[]}|null} */ (null);
+/** Drops what is loading of an instant once another is asked for, or the same one again. */
+let loading = new AbortController(), drag = /** @type {{grip: Grip, vehicle: Vehicle, at: number[]}|null} */ (null);
 const views = /** @type {Map<string, FrameView>} */ (new Map()), timer = new WorkTimer();
 const model = new Model(changed), regions = new RegionTool(model, redraw, readOnly);
 const cache = new FrameCache(jobId, FRAME_PX, showFrames);
@@ -79,20 +81,12 @@ function showFrames() {
   for (const camera of cameras) views.get(camera.id)?.show(cache.get(camera.id, timeNs) ?? null);
 }
 
-/** @param {any} answer */
-function takeSeen(answer) {
-  seen = {};
-  for (const [camera, shares] of Object.entries(answer.visibility)) {
-    seen[camera] = Object.fromEntries(answer.labels.vehicles.map((/** @type {Vehicle} */ vehicle, /** @type {number} */ row) => [vehicle.id, shares[row]]));
-  }
-}
-
 /** What saves an instant in the set that is chosen. One that was left unsaved goes on saving, and says nothing of the one that is shown. @param {number} time @returns {LabelStore} */
 function storeOf(time) {
   const set = setName(), key = `${set} ${time}`, isShown = () => store === here;
   const here = stores.get(key) ?? new LabelStore(jobId, set, time, {
     author: () => byId("author").value.trim() || "somebody",
-    saved: (answer) => { if (set === setName()) noteSaved(answer); if (isShown()) { takeSeen(answer); redraw(); } },
+    saved: (answer) => { if (set === setName()) noteSaved(answer); if (isShown()) { seen = sharesSeen(answer); redraw(); } },
     said: (text, bad = false) => { if (isShown()) { byId("saved").textContent = text; byId("saved").classList.toggle("bad", bad); } },
     merge: async (found, author) => {
       const vehicles = await settle(found, author, clock(time / 1e9));
@@ -104,29 +98,41 @@ function storeOf(time) {
   return here;
 }
 
+/** Leave the instant that is open, and drop what is still loading. @returns {Promise<void>|undefined} ends when what was left is saved, or cannot be */
+function leave() {
+  const left = store;
+  loading.abort();
+  [loading, store, drag] = [new AbortController(), null, null];
+  model.close();
+  redraw();
+  return left?.flush();
+}
+
 /** Go to an instant. @param {number} time @param {Vehicle[]} [copied] vehicles that are to stand there, too */
 async function open(time, copied = []) {
-  await store?.flush();
+  const left = leave(), { signal } = loading, here = storeOf(time);
   [timeNs, proposals, exposures] = [time, [], {}]; // those of the instant before do not hold here
   byId("saved").textContent = `loading ${clock(time / 1e9)} …`;
-  const here = storeOf(time);
-  [store, drag] = [null, null];
-  model.close();
   cache.want(neighbours(time).flatMap((at) => cameras.map((camera) => /** @type {[string, number]} */ ([camera.id, at]))));
-  showFrames(); redraw();
-  const [{ answer, draft }, proposed, stored] = await Promise.all([here.open(), get(`/v1/jobs/${jobId}/labels/instants/${time}/proposal`), around(time, NEAR_NS)])
-    .catch((error) => { if (time === timeNs) [byId("saved").textContent, byId("instant").value] = [`${clock(time / 1e9)} could not be loaded; open it again`, ""]; throw error; });
-  if (time !== timeNs) return;
+  showFrames(); showList();
+  const load = async () => {
+    await left;
+    const beside = Promise.all([get(`/v1/jobs/${jobId}/labels/instants/${time}/proposal`, { signal }), around(time, NEAR_NS, signal)]);
+    return Promise.all([here.open(beside, signal), beside]);
+  };
+  const [{ answer, draft }, [proposed, stored]] = await load().catch((error) => {
+    if (!signal.aborted) [byId("saved").textContent, byId("instant").value] = [`${clock(time / 1e9)} could not be loaded; open it again`, ""];
+    throw error;
+  });
   proposals = proposed;
   exposures = Object.fromEntries(Object.entries(stored.frame_times_ns).map(([camera, times]) => [camera, times[stored.times_ns.indexOf(time)]]));
   if (!copied.length) from = null;
   const labels = draft ?? answer.labels;
-  takeSeen(answer);
+  seen = sharesSeen(answer);
   timer.start(labels.seconds);
   // what stands before a camera stands there at all instants: a new one begins with the regions of the one before
   model.load(labels.vehicles, labels.finished, answer.version || draft ? labels.regions : model.regions);
   byId("saved").textContent = answer.version ? `version ${answer.version} by ${answer.author}` : "not labelled yet";
-  byId("instant").value = String(time);
   store = here;
   const added = copied.filter((vehicle) => !labels.vehicles.some((/** @type {Vehicle} */ one) => one.id === vehicle.id));
   if (added.length) { model.replace([...model.vehicles, ...added]); model.chosen ??= added[0].id; }
@@ -152,22 +158,19 @@ function showList() {
   listed = shown;
   const state = (/** @type {number} */ time) => { const one = labelled.get(time); return !one ? "○ suggested" : `${one.finished ? "● finished" : "◐ begun"}, ${one.vehicles}`; };
   fill(byId("instant"), shown.map((time) => h("option", { value: time, selected: time === timeNs }, `${clock(time / 1e9)} ${state(time)}`)));
-  const finished = [...labelled.values()].filter((one) => one.finished), seconds = finished.reduce((sum, one) => sum + one.seconds, 0);
-  byId("progress").textContent = `${finished.length} instant${finished.length === 1 ? "" : "s"} finished with ${finished.reduce((sum, one) => sum + one.vehicles, 0)} vehicles${finished.length ? `, ${duration(seconds / finished.length)} of work each` : ""}.`;
-  for (const format of ["parquet", "coco", "wibam"]) byId(`as-${format}`).href = `/v1/jobs/${jobId}/labels/export/${format === "wibam" ? "wibam-dataset" : format}${query({ set: setName() })}`;
+  showProgress([...labelled.values()], setName());
 }
 
 /** Put the vehicles on to the next instant of the test part, where they have moved to. */
 async function copyOn() {
+  if (!mayChange(model)) return;
   const next = test.find((time) => time > timeNs);
   if (next === undefined) { byId("saved").textContent = "there is no later instant in the test part"; return; }
   const seconds = (next - timeNs) / 1e9, near = seconds <= MOTION_S;
   const copied = model.vehicles.map(withMotion).map((vehicle) => ({ ...vehicle, box: near ? later(vehicle, seconds) : vehicle.box, visibility: {}, seconds: 0 }));
   const kept = copied.filter((vehicle) => cameras.some((camera) => camera.boxAround(vehicle.box)));
   from = near ? { timeNs, boxes: new Map(model.vehicles.map((vehicle) => [vehicle.id, vehicle.box])) } : null;
-  if (!listed.includes(next)) listed.push(next);
   await open(next, kept);
-  showList();
 }
 
 function takeProposals() {
@@ -187,11 +190,13 @@ function snapToFit() {
   model.update({ box: nearest.box, velocity_mps: nearest.velocity_mps });
 }
 
-/** A new vehicle of the usual size. @param {number[]} ground */
+/** A new vehicle of the usual size. @param {number[]} ground @returns {boolean} whether it is there */
 function place(ground) {
+  if (!mayChange(model)) return false;
   const kind = classes.find((one) => one.name === byId("class").value) ?? classes[0], [length, width, height] = kind.size_m;
   model.add(kind.name, [ground[0], ground[1], height / 2, length, width, height, model.current?.box[6] ?? 0], proposals.map((one) => one.id));
   setPlacing(false);
+  return true;
 }
 
 /** @param {boolean} on */
@@ -207,7 +212,7 @@ function take(grip, at, ground, camera) {
   if (!readOnly && regions.click(camera, at, ground)) return true;
   if (readOnly) { model.chosen = grip?.id ?? model.chosen; redraw(); return false; }
   if (placing && ground) {
-    place(ground);
+    if (!place(ground)) return false;
     drag = { grip: { kind: "turn", id: model.chosen ?? 0 }, vehicle: /** @type {Vehicle} */ (model.current), at };
     return true;
   }
@@ -333,7 +338,10 @@ function listen() {
   byId("author").addEventListener("change", () => localStorage.setItem("wibam-author", byId("author").value));
   byId("set").addEventListener("change", () => attempt(async () => {
     if (!byId("set").reportValidity()) return;
-    localStorage.setItem("wibam-label-set", setName()); await store?.flush(); model.regions = []; await loadList(); await open(timeNs); }));
+    localStorage.setItem("wibam-label-set", setName());
+    model.regions = [];
+    await leave(); await loadList(); await open(timeNs);
+  }));
   byId("fields").addEventListener("submit", (/** @type {Event} */ event) => event.preventDefault());
   for (const input of byId("fields").elements) input.disabled = readOnly;
   document.addEventListener("keydown", keys, { capture: true });
@@ -342,26 +350,16 @@ function listen() {
   listenPlan();
 }
 
-/** Stored instants about a time, and when each camera exposed its frames of them. @param {number} time @param {number} within ns @returns {Promise<any>} */
-function around(time, within) {
-  return get(`/v1/jobs/${jobId}/instants${query({ start_ns: time - within, end_ns: time + within })}`);
-}
-
-/** The instant of this job nearest to a time, which an address may have from another job. @param {number} time @returns {Promise<number>} */
-async function nearest(time) {
-  const close = (await around(time, FAR_NS)).times_ns, all = close.length ? close : Object.values(parts).flat();
-  return all.reduce((/** @type {number} */ best, /** @type {number} */ one) => (Math.abs(one - time) < Math.abs(best - time) ? one : best), all[0]);
-}
-
 async function loadList() {
   const set = setName(), [summary, suggested] = await Promise.all([get(`/v1/jobs/${jobId}/labels${query({ set })}`), get(`/v1/jobs/${jobId}/labels/suggestions${query({ set, count: SUGGESTED })}`)]);
+  if (set !== setName()) { await loadList(); return; } // another was chosen meanwhile
   const here = summary.instants.filter((/** @type {any} */ one) => one.in_job), elsewhere = summary.instants.length - here.length;
   labelled = new Map(here.map((/** @type {any} */ one) => [one.time_ns, one]));
   byId("elsewhere").textContent = elsewhere ? `${elsewhere} more labelled instant${elsewhere === 1 ? " is" : "s are"} of another job of this footage, with other instants than this one's. They are kept, and shown and changed on that job's page.` : "";
   listed = suggested.map((/** @type {any} */ one) => one.time_ns);
   test = [...new Set([...parts.test, ...labelled.keys()])].sort((a, b) => a - b);
   const asked = wholeNumber("time_ns");
-  if (Number.isNaN(timeNs)) timeNs = asked === null ? (listed[0] ?? test[0] ?? Object.values(parts).flat()[0]) : await nearest(asked);
+  if (Number.isNaN(timeNs)) timeNs = asked === null ? (listed[0] ?? test[0] ?? Object.values(parts).flat()[0]) : await nearest(asked, Object.values(parts).flat());
   showList();
 }
 
