@@ -15,6 +15,7 @@ import numpy as np
 from wibam_core.clocks import ClockMap, ClockPiece, SignalChange
 from wibam_core.errors import NoSignalChange, UnknownClock
 from wibam_core.sync.hearing import SoundAlignment
+from wibam_core.sync.matching import Alignment, Offset
 from wibam_core.sync.offsets import Meeting, SyncResult
 from wibam_core.sync.paths import GroundPath
 from wibam_core.sync.witnesses import Synchronised, synchronise
@@ -52,11 +53,14 @@ class InSegments:
         found: as of whole cameras; their clocks have pieces.
         placed: camera id -> segments that witnesses have placed.
         assumed: camera id -> beginnings (s, own clock) of segments that stay where they were assumed to lie.
+        shares: camera id -> of the light changes of all its segments that could meet another camera's, how many do;
+            without cameras whose changes are not compared.
     """
 
     found: Synchronised
     placed: Mapping[str, tuple[Placed, ...]] = field(default_factory=dict)
     assumed: Mapping[str, tuple[float, ...]] = field(default_factory=dict)
+    shares: Mapping[str, float] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)
@@ -105,11 +109,12 @@ def synchronise_segments(
     stretches = {camera_id: [_Stretch(camera_id, (span,)) for span in spans] for camera_id, spans in segments_s.items()}
     while True:
         names = {s.id if k else s.camera_id: s for own in stretches.values() for k, s in enumerate(own)}
+        lit = None if changes is None else {n: list(_changes_of(s, changes)) for n, s in names.items()}
         try:
             found = synchronise(
                 {name: s.span_s for name, s in names.items()},
                 reference_id,
-                changes=None if changes is None else {n: list(_changes_of(s, changes)) for n, s in names.items()},
+                changes=lit,
                 paths=None if paths is None else {n: list(_paths_of(s, paths)) for n, s in names.items()},
                 sounds=sounds,
                 max_offset_s=max_offset_s,
@@ -125,7 +130,7 @@ def synchronise_segments(
         else:
             doubtful = list(_misplaced(stretches, names, found))
             if not doubtful:
-                return _composed(stretches, names, found)
+                return _composed(stretches, names, found, lit or {})
         # The shortest first: what lies beside it may well be found.
         _keep_beside(stretches, min(doubtful, key=lambda s: s.span_s[1] - s.span_s[0]))
 
@@ -183,7 +188,10 @@ def _keep_beside(stretches: dict[str, list[_Stretch]], stretch: _Stretch) -> Non
 
 
 def _composed(
-    stretches: Mapping[str, Sequence[_Stretch]], names: Mapping[str, _Stretch], found: Synchronised
+    stretches: Mapping[str, Sequence[_Stretch]],
+    names: Mapping[str, _Stretch],
+    found: Synchronised,
+    lit: Mapping[str, Sequence[SignalChange]],
 ) -> InSegments:
     """Clocks of whole cameras from those of their stretches."""
     result = found.result
@@ -202,12 +210,13 @@ def _composed(
         clocks[camera_id] = ClockMap(base.offset_ns, base.drift, tuple(pieces))
         placed[camera_id] = tuple(told)
     groups = tuple(replace(g, seen={owner[name]: change for name, change in g.seen.items()}) for g in result.groups)
+    met = _met(names, result.alignments, lit)
     whole = SyncResult(
         reference_id=result.reference_id,
         clocks=clocks,
         errors={c: error for c, error in result.errors.items() if c in clocks},
         groups=groups,
-        alignments={c: one for c, one in result.alignments.items() if c in clocks},
+        alignments={c: replace(one, taken=met[c]) for c, one in result.alignments.items() if c in clocks},
         observations=tuple(replace(o, camera_id=owner[o.camera_id]) for o in result.observations),
         centres_s={c: at_s for c, at_s in result.centres_s.items() if c in clocks},
     )
@@ -224,4 +233,25 @@ def _composed(
     )
     assumed = {c: tuple(span[0] for s in own for span in s.segments[1:]) for c, own in stretches.items()}
     disagreeing = tuple(dict.fromkeys(owner[name] for name in found.disagreeing))
-    return InSegments(Synchronised(whole, traffic, disagreeing, found.sounds, found.by_sound), placed, assumed)
+    shares = {camera_id: one.share for camera_id, one in met.items()}
+    return InSegments(Synchronised(whole, traffic, disagreeing, found.sounds, found.by_sound), placed, assumed, shares)
+
+
+def _met(
+    names: Mapping[str, _Stretch], alignments: Mapping[str, Alignment], lit: Mapping[str, Sequence[SignalChange]]
+) -> dict[str, Offset]:
+    """Camera id -> its first stretch's clock, and how many light changes of all its stretches meet and could.
+
+    The changes of a later stretch that meet none at all could have, if those of another stretch do.
+    """
+    met: dict[str, Offset] = {}
+    for name, alignment in alignments.items():
+        camera_id, one = names[name].camera_id, alignment.taken
+        clock = alignments[camera_id].taken if camera_id in alignments else Offset(0.0, 0.0, 0, 0.0)
+        before = met.get(camera_id, replace(clock, matched=0, could=0.0))
+        met[camera_id] = replace(before, matched=before.matched + one.matched, could=before.could + one.could)
+    for name, stretch in names.items():
+        if stretch.camera_id in met and name != stretch.camera_id and name not in alignments:
+            before = met[stretch.camera_id]
+            met[stretch.camera_id] = replace(before, could=before.could + len(lit.get(name, ())))
+    return met

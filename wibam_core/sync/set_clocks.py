@@ -67,21 +67,23 @@ def synchronise_set_clocks(
 
 def least_share(found: InSegments) -> float:
     """Of the light changes that could meet, how many do: of the camera with the fewest; 1 without lights."""
-    return min((one.taken.share for one in found.found.result.alignments.values()), default=1.0)
+    return min(found.shares.values(), default=1.0)
 
 
 def set_cautions(found: InSegments, known_s: Mapping[str, Sequence[Span]]) -> list[Caution]:
-    """Cameras whose clock was set: a segment lies elsewhere than stamped, and does not begin in ``known_s``."""
+    """Where clocks were set: a segment lies elsewhere beside the one before than stamped, and none of ``known_s``
+    begins there."""
     return [
         Caution(
             code="clock_set",
-            message=f"The clock of {camera_id} was set while it recorded: what follows {one.from_s:.1f} s was "
-            f"{abs(one.shift_s):.2f} s {'earlier' if one.shift_s < 0 else 'later'} than its time stamps say, and lies "
-            "there now",
+            message=f"The clock of {camera_id} was set while it recorded: beside what was before, what follows "
+            f"{one.from_s:.1f} s was {abs(by_s):.2f} s {'earlier' if by_s < 0 else 'later'} than its time stamps say, "
+            "and lies there now",
             hint="Keep a camera's clock from being set while it records.",
-            details={"camera": camera_id, "at_s": one.from_s, "shift_s": one.shift_s},
+            details={"camera": camera_id, "at_s": one.from_s, "shift_s": by_s},
         )
         for camera_id, placed in found.placed.items()
-        for one in placed
-        if abs(one.shift_s) >= _LEAST_S and one.from_s not in {begin_s for begin_s, _ in known_s[camera_id]}
+        for before_s, one in zip((0.0, *(one.shift_s for one in placed)), placed, strict=False)
+        if abs(by_s := one.shift_s - before_s) >= _LEAST_S
+        and one.from_s not in {begin_s for begin_s, _ in known_s[camera_id]}
     ]
