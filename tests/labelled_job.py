@@ -32,6 +32,11 @@ def labelled_job(api: LiveApi, recording: bytes = b"north") -> str:
     return job_id
 
 
+def label_anew(api: LiveApi, job_id: str) -> None:
+    """Finish a job of `labelled_job` that was restarted: stages that are made anew publish the same once more."""
+    publish(api, job_id, _write)
+
+
 def later_job(api: LiveApi, earlier: str, instants: int) -> str:
     """A finished job on the footage of an earlier one that looks at its first instants alone; returns its id."""
     site = api.http.get(f"/v1/jobs/{earlier}").json()["site_id"]

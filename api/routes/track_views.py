@@ -6,7 +6,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Annotated
 
-from fastapi import APIRouter, Query, Response
+from fastapi import APIRouter, Header, Query, Response
 
 from api.parameters import ONLY_KNOWN_PARAMETERS
 from api.problems import documented
@@ -20,19 +20,26 @@ from wibam_core.documents.tracks import CompactTracks, TrackPaths, TracksSummary
 router = APIRouter(
     prefix="/v1/jobs/{job_id}/tracks",
     tags=["results"],
-    responses=documented(401, 404, 409, 422),
+    responses={304: {"description": "Not Modified"}, **documented(401, 404, 409, 422)},
     dependencies=[ONLY_KNOWN_PARAMETERS],
 )
 
 
-@router.get("/summary", summary="How many tracks there are, when and where")
-def summary(job_id: str, services: ServicesDep, asked: AskedTracks, response: Response) -> TracksSummary:
+#: What a client keeps: its `ETag`, or several, or `*`.
+Kept = Annotated[str | None, Header(alias="If-None-Match")]
+
+
+@router.get("/summary", response_model=TracksSummary, summary="How many tracks there are, when and where")
+def summary(
+    job_id: str, services: ServicesDep, asked: AskedTracks, response: Response, kept: Kept = None
+) -> TracksSummary | Response:
     """Of the states that `GET /v1/jobs/{job_id}/tracks` lists for the same question. The header `ETag` has the SHA-256
-    of the tracks: a restart may make others."""
-    return track_views.summary(_tracks(services, job_id, response), asked)
+    of the tracks: a restart may make others. Who sends it as `If-None-Match` is told whether it still holds."""
+    path = _tracks(services, job_id, response, kept)
+    return path if isinstance(path, Response) else track_views.summary(path, asked)
 
 
-@router.get("/compact", summary="7DoF tracks in little space")
+@router.get("/compact", response_model=CompactTracks, summary="7DoF tracks in little space")
 def compact(
     job_id: str,
     services: ServicesDep,
@@ -40,23 +47,30 @@ def compact(
     response: Response,
     limit: Annotated[int, Query(ge=1, le=100_000, description="of states")] = 20_000,
     cursor: Annotated[str | None, Query(description="`next` of the page before")] = None,
-) -> CompactTracks:
+    kept: Kept = None,
+) -> CompactTracks | Response:
     """The same states by track and rounded, for drawing. Give a start and an end to see a stretch of a long job.
     The header `ETag` has the SHA-256 of the tracks."""
     after = parse_cursor(cursor) if cursor is not None else None
-    path = _tracks(services, job_id, response)
-    return track_views.compact(path, replace(asked, after=after, limit=limit))
+    path = _tracks(services, job_id, response, kept)
+    return path if isinstance(path, Response) else track_views.compact(path, replace(asked, after=after, limit=limit))
 
 
-@router.get("/paths", summary="Where road users went")
-def paths(job_id: str, services: ServicesDep, asked: AskedTracks, response: Response) -> TrackPaths:
+@router.get("/paths", response_model=TrackPaths, summary="Where road users went")
+def paths(
+    job_id: str, services: ServicesDep, asked: AskedTracks, response: Response, kept: Kept = None
+) -> TrackPaths | Response:
     """Lines from above through the same states, thinned so that those of a long job can be drawn together. The header
     `ETag` has the SHA-256 of the tracks."""
-    return track_views.paths(_tracks(services, job_id, response), asked)
+    path = _tracks(services, job_id, response, kept)
+    return path if isinstance(path, Response) else track_views.paths(path, asked)
 
 
-def _tracks(services: Services, job_id: str, response: Response) -> Path:
-    """The job's tracks; the answer is marked as theirs."""
+def _tracks(services: Services, job_id: str, response: Response, kept: str | None) -> Path | Response:
+    """The job's tracks, and the answer is marked as theirs; that they are those which a client keeps, where they are."""
     file = services.results.file(services.jobs.job(job_id), catalogue.TRACKS)
-    response.headers["ETag"] = f'"{file.sha256}"'
+    etag = f'"{file.sha256}"'
+    if kept is not None and {"*", etag} & {one.strip().removeprefix("W/") for one in kept.split(",")}:
+        return Response(status_code=304, headers={"ETag": etag})
+    response.headers["ETag"] = etag
     return file.path

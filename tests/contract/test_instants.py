@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from tests.finished import finished_job
-from tests.labelled_job import FIT_ERROR, TIMES_NS, labelled_job
+from tests.labelled_job import FIT_ERROR, TIMES_NS, label_anew, labelled_job
 from tests.service import LiveApi
 from tests.site_dataset import boxes_at, tiny_rig
 from wibam_core.geometry.projection import project_boxes
@@ -65,4 +65,8 @@ def test_a_frame_that_is_kept_is_asked_for_again_since_a_restart_may_make_others
     assert (kept.status_code, kept.content) == (304, b"")
     options = {"options": {"frames": {"rate_hz": 2.0}}}
     assert api.http.post(f"/v1/jobs/{job}/restart", json=options).status_code == 202
-    assert api.http.get(address, headers={"If-None-Match": first.headers["etag"]}).status_code == 409, "made anew"
+    assert api.http.get(address, headers={"If-None-Match": first.headers["etag"]}).status_code == 409
+    label_anew(api, job)
+    anew = api.http.get(address, headers={"If-None-Match": first.headers["etag"]})
+    assert anew.status_code == 200, "a frame at the same time, of other frames"
+    assert anew.headers["etag"] != first.headers["etag"]

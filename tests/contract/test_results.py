@@ -283,6 +283,12 @@ class TestTracksInLittleSpace:
         file = api.http.get(f"/v1/jobs/{job}/artifacts/track/tracks.parquet").content
         answer = api.http.get(f"/v1/jobs/{job}/tracks/{view}")
         assert answer.headers["etag"] == f'"{sha256(file).hexdigest()}"'
+        for kept in (answer.headers["etag"], f'"other", W/{answer.headers["etag"]}'):
+            again = api.http.get(f"/v1/jobs/{job}/tracks/{view}", headers={"If-None-Match": kept})
+            assert (again.status_code, again.content) == (304, b"")
+            assert again.headers["etag"] == answer.headers["etag"]
+        other = api.http.get(f"/v1/jobs/{job}/tracks/{view}", headers={"If-None-Match": '"other"'})
+        assert (other.status_code, other.json()) == (200, answer.json())
 
     @pytest.mark.parametrize("view", ["summary", "compact", "paths"])
     def test_bad_questions_are_refused(self, api: LiveApi, job: str, view: str) -> None:
