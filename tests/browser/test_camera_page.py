@@ -68,6 +68,29 @@ def test_a_calibrated_camera_can_be_used_before_its_recording_is_read(
         page.locator("#time").fill("1.5")
 
 
+def test_a_recording_that_could_not_be_read_is_read_again(signed_in: Visit, api: LiveApi, recording: bytes) -> None:
+    """Whatever was set meanwhile stays, and nothing is asked of chapters whose lengths are not known."""
+    site = api.site(cameras=1)
+    api.upload(site, recording)
+    page = signed_in.page
+    strips: list[str] = []
+    page.on("request", lambda request: strips.append(request.url) if "/signal?" in request.url else None)
+    page.route(HEADERS, lambda route: route.abort())
+    signed_in.open(f"/sites/{site}/cameras/cam1")
+    page.get_by_text("The recording could not be read").wait_for()
+    page.get_by_role("button", name="Add a region").click()
+    page.get_by_role("button", name="What does it show?").click()
+    page.get_by_text("The recording is not read yet").wait_for()
+    assert strips == []
+    page.unroute(HEADERS)
+    page.get_by_role("button", name="Read it again").click()
+    page.locator("#frame-note", has_text="Wheel or").wait_for()
+    assert page.locator("#signals .region").count() == 1
+    with page.expect_request(lambda request: "/frame?time_s=1.5" in request.url):
+        page.locator("#time").fill("1.5")
+    signed_in.forgive("ERR_FAILED")
+
+
 def test_how_long_a_recording_is_is_read_once(signed_in: Visit, api: LiveApi, new_site: str) -> None:
     page, entry = signed_in.page, "performance.getEntriesByType('resource').find((one) => one.name.endsWith('/header'))"
     sent = []

@@ -24,17 +24,29 @@ export class Footage {
     this.parts = paths.map((path) => ({ path, start: 0, length: 0 }));
     /** @type {any} of the first file */
     this.header = null;
+    this.loading = /** @type {Promise<void>|null} */ (null);
   }
 
   /** Ask how long the files are; until then all times are of the first. */
-  async load() {
+  load() {
+    this.loading = this.#read();
+    return this.loading;
+  }
+
+  /** Wait for what is being asked. @returns {Promise<boolean>} whether it is known how long the files are */
+  async isRead() {
+    await this.loading?.catch(() => {}); // whoever asked says what went wrong
+    return this.header !== null;
+  }
+
+  async #read() {
     const headers = await Promise.all(this.parts.map((part) => get(`${part.path}/header`)));
-    this.header = headers[0];
     let start = 0;
     headers.forEach((header, index) => {
       Object.assign(this.parts[index], { start, length: header.duration_s });
       start += header.duration_s;
     });
+    this.header = headers[0];
   }
 
   /** Length of all, s; 0 where no header says it. */

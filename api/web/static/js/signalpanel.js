@@ -91,11 +91,13 @@ export class SignalPanel {
   look(index) {
     const signal = this.signals[index];
     if (!signal || !this.recording) return;
-    const place = this.strip(signal), region = signal.region.join(","), { path, time, start } = this.recording.at(this.now());
+    const place = this.strip(signal), region = signal.region.join(","), { recording } = this;
     const current = () => region === signal.region.join(","); // a region that was changed meanwhile has its own answer
     fill(place, h("p.note", null, "Looking …"));
     attempt(async () => {
       try {
+        if (!await recording.isRead()) { if (current()) fill(place, h("p.note", null, "The recording is not read yet.")); return; }
+        const { path, time, start } = recording.at(this.now());
         const strip = await get(`${path}/signal${query({ region, start_s: time, duration_s: LENGTH_S })}`);
         if (current()) fill(place, stripOf(strip, start));
       } catch (error) {

@@ -92,7 +92,7 @@ let before = "";
 /** Show the frame at the slider's time. While one is under way, the next waits, and only for the latest time. */
 async function showFrame() {
   byId("time-text").textContent = clock(Number(byId("time").value));
-  if (!recording) return;
+  if (!await recording?.isRead() || !recording) return;
   asked += 1;
   if (asked > 1) return;
   try {
@@ -189,15 +189,30 @@ async function start() {
   byId("save").addEventListener("click", () => attempt(save));
   window.addEventListener("beforeunload", (event) => { if (dirty) event.preventDefault(); });
   if (!recording) { fill(byId("frame-note"), message("plain", "this camera has no recording yet", "Upload one on the site's page; points can be typed meanwhile.")); return; }
+  byId("time").addEventListener("input", () => attempt(showFrame));
+  for (const [id, by] of [["earlier", -1], ["later", 1]]) byId(id).addEventListener("click", () => { byId("time").value = now() + Number(by); attempt(showFrame); });
   await read;
+  await showRecording(description, help);
+}
+
+/** Show a recording that is read, or offer to read it again. @param {any} description of the camera @param {Node[]} help what can be done in the frame */
+async function showRecording(description, help) {
+  if (!recording) return;
   const { header } = recording;
-  if (!header) { fill(byId("frame-note"), help); return; } // which was said
+  if (!header) {
+    const again = async () => {
+      if (follows(description) && !dirty) { location.reload(); return; } // its size is the recording's
+      fill(byId("frame-note"), "Reading the recording …");
+      await attempt(async () => recording?.load());
+      await showRecording(description, help);
+    };
+    fill(byId("frame-note"), message("bad", "the recording could not be read", "", h("button.small", { type: "button", onclick: () => attempt(again) }, "Read it again")));
+    return;
+  }
   if (recording.length) byId("time").max = recording.length;
   if (header.width_px !== description.width_px || header.height_px !== description.height_px) {
     fill(byId("frame-note"), message("caution", `the recording has ${header.width_px} × ${header.height_px} px, the site says ${description.width_px} × ${description.height_px}`, "Points and regions are in the site's pixels; correct the size in the site's JSON, or upload the recording that it was made for."));
   }
-  byId("time").addEventListener("input", () => attempt(showFrame));
-  for (const [id, by] of [["earlier", -1], ["later", 1]]) byId(id).addEventListener("click", () => { byId("time").value = now() + Number(by); attempt(showFrame); });
   await showFrame();
   if (byId("frame-note").textContent === "Reading the recording …") fill(byId("frame-note"), help);
 }
