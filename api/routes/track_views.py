@@ -67,7 +67,7 @@ def paths(
 
 
 def _tracks(services: Services, job_id: str, response: Response, kept: str | None) -> Path | Response:
-    """The job's tracks, and the answer is marked as theirs; that they are those which a client keeps, where they are."""
+    """The job's tracks, with which the answer is marked; where a client keeps them already, that answer."""
     file = services.results.file(services.jobs.job(job_id), catalogue.TRACKS)
     etag = f'"{file.sha256}"'
     if kept is not None and {"*", etag} & {one.strip().removeprefix("W/") for one in kept.split(",")}:
