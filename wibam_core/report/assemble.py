@@ -145,6 +145,8 @@ def _synchronisation(changes: Changes) -> Synchronisation:
             clock.rms_after_s,
             clock.score,
             clock.ambiguous,
+            clock.decided_by_traffic,
+            clock.decided_by_sound,
         )
         for camera_id, clock in changes.cameras.items()
     )

@@ -46,6 +46,7 @@ class ClockRow:
         drift_ppm: with its standard deviation ``drift_sd_ppm``.
         changes: light changes that it shares with another camera. score: of those that it could share, how many.
         ambiguous: another offset explains what is seen as well.
+        by_traffic, by_sound: who has chosen among offsets that the lights leave open.
         rms_before_s, rms_after_s: root mean square delay to the reference.
     """
 
@@ -59,6 +60,8 @@ class ClockRow:
     rms_after_s: float | None
     score: float | None = None
     ambiguous: bool = False
+    by_traffic: bool = False
+    by_sound: bool = False
 
 
 @dataclass(frozen=True)

@@ -310,7 +310,9 @@ def _clocks(data: ReportData) -> tuple[tuple[str, ...], ...]:
             row.camera_id,
             signed(row.offset_s, 4)
             + ("" if row.offset_sd_s is None else f" ± {row.offset_sd_s:.4f}")
-            + (", ambiguous" if row.ambiguous else ""),
+            + (", ambiguous" if row.ambiguous else "")
+            + (", by the traffic" if row.by_traffic else "")
+            + (", by the sound" if row.by_sound else ""),
             signed(row.drift_ppm, 1) + ("" if row.drift_sd_ppm is None else f" ± {row.drift_sd_ppm:.1f}"),
             str(row.changes) + ("" if row.score is None else f" ({row.score:.0%} of possible)"),
             number(None if row.rms_before_s is None else 1e3 * row.rms_before_s, 1),

@@ -13,7 +13,7 @@ from tests.builders import AMBIGUOUS
 from tests.unit.report.scenes import report_data
 from wibam_core.documents.rounds import Rounds
 from wibam_core.documents.synchronisation import Alternative, PlacedSegment, SoundPair, TrafficPair
-from wibam_core.report.data import Synchronisation, Training
+from wibam_core.report.data import ClockRow, Synchronisation, Training
 from wibam_core.report.render import render
 
 HOSTILE = "<script>alert(1)</script> \"quoted\" & 'Straße' $x^2$ {{ 7*7 }}"
@@ -145,6 +145,18 @@ def test_what_clocks_rest_on_stands_in_tables(page):
     assert "west against north||−1.60 ± 0.09||1.0||−0.10||not used: not clear" in cells
     assert "south against north||−1.60 ± 0.09||2.3||+60.10||says otherwise" in cells
     assert "Table of what the traffic says" not in page and "Table of what the sound says" not in page
+
+
+def test_a_clock_s_row_says_who_chose_it():
+    row = ClockRow("east", 1.5, 0.004, 0.0, None, 24, 0.3, 0.006)
+    rows = (row, replace(row, camera_id="west", by_sound=True), replace(row, camera_id="south", by_traffic=True))
+    cells = re.sub(r"<[^>]+>", "|", text_alone(synchronisation=Synchronisation(rows, ())))
+    for said in (
+        "east||+1.5000 ± 0.0040||",
+        "west||+1.5000 ± 0.0040, by the sound||",
+        "south||+1.5000 ± 0.0040, by the traffic||",
+    ):
+        assert said in cells
 
 
 def test_without_labels_there_is_no_accuracy_but_agreement(page):
