@@ -30,7 +30,8 @@ _END_TO_END = (ROOT / "tests" / "browser", ROOT / "tests" / "integration")
 
 @pytest.hookimpl(tryfirst=True)
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """Mark whole services and browsers, before `-m` chooses, and begin with them: none is left alone at the end."""
+    """Mark whole services and browsers, before `-m` chooses, and put them first: of several processes
+    the first begins with them, and those that are done take over what is left."""
     for item in items:
         if any(item.path.is_relative_to(folder) for folder in _END_TO_END):
             item.add_marker(pytest.mark.end_to_end)
