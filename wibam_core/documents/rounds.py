@@ -52,6 +52,11 @@ class Round(Document):
     network's round that network by itself: who stands is found by these alone. None where there are too few."""
     agreement: HeldOutAgreement
 
+    @property
+    def agreement_a_box(self) -> float:
+        """The agreement over the boxes, both of an instant: it falls with boxes that nothing agrees with."""
+        return self.agreement.an_instant / max(sum(self.boxes_an_image.values()), 1e-9)
+
 
 class Rounds(Document):
     """All rounds, those that were not kept included."""

@@ -108,8 +108,8 @@ def run_rounds(world: World, detected: Detected, progress: Progress = silent) ->
         left_out = _left_out(of_detector.on_scenery, found, again.detected) if source == "motion" else None
         known = share_known(world.instants[: len(again.before)], again.before, by_itself)
         rounds.append(_round(number, source, again, taught, left_out, known))
-        rises = _agrees(best.agreement, again.agreement, source, 1 + options.least_gain)
-        if _agrees(best.agreement, again.agreement, source):
+        rises = _agrees(rounds[kept], rounds[number], 1 + options.least_gain)
+        if _agrees(rounds[kept], rounds[number]):
             best, kept, need = again, number, again.agreement
             if source == "motion":
                 without_network, need = again.detected, first_agreement(world, again)
@@ -120,15 +120,15 @@ def run_rounds(world: World, detected: Detected, progress: Progress = silent) ->
     return dict(best.detected), Rounds(rounds=rounds, kept=kept, reason=reason)
 
 
-def _agrees(before: HeldOutAgreement, after: HeldOutAgreement, source: Source, times: float = 1.0) -> bool:
+def _agrees(before: Round, after: Round, times: float = 1.0) -> bool:
     """Whether views agree at least so many times as much after a round.
 
-    A network that takes much for vehicles gives more boxes that agree, too. Then cameras have boxes of a smaller share
-    of those that others place, since not all of these are there.
+    A network that takes much for vehicles gives more boxes that agree, too, by chance or as second ones of a vehicle:
+    after its round each box has to agree as much as before. True boxes do so more, as each finds more to agree with.
     """
-    if after.found is None or after.an_instant < times * before.an_instant:
+    if after.agreement.found is None or after.agreement.an_instant < times * before.agreement.an_instant:
         return False
-    return source != "network" or before.found is None or after.found >= before.found
+    return after.source != "network" or after.agreement_a_box >= before.agreement_a_box
 
 
 def _is_enough(found: float | None, known: float | None, options: RoundsConfig) -> bool:

@@ -10,7 +10,7 @@ from tests.multiview import crossing
 from wibam_core.config import AssociateConfig, DatasetConfig, DetectConfig, LiftConfig, RoundsConfig
 from wibam_core.detection.instants import by_frame
 from wibam_core.detection.second_look import backgrounds_shown
-from wibam_core.documents.rounds import HeldOutAgreement
+from wibam_core.documents.rounds import HeldOutAgreement, Round, Source
 from wibam_core.formats.framestore import FrameStore, FrameStoreWriter
 from wibam_core.models.weights import bundled
 from wibam_core.networks.registry import load_to_detect
@@ -108,15 +108,23 @@ def test_what_agrees_less_is_not_kept(
 
 
 def test_a_network_that_sees_much_where_others_see_nothing_is_not_kept() -> None:
-    def agreeing(found: float | None, an_instant: float) -> HeldOutAgreement:
-        return HeldOutAgreement(instants=60, sightings=800, iou=0.6, missed=150, found=found, an_instant=an_instant)
+    def after(source: Source, boxes: float, an_instant: float, found: float | None = 0.85) -> Round:
+        agreement = HeldOutAgreement(
+            instants=60, sightings=800, iou=0.6, missed=150, found=found, an_instant=an_instant
+        )
+        of_cameras = {"one": 0.75 * boxes, "two": 0.25 * boxes}
+        return Round(
+            number=1, source=source, boxes_an_image=of_cameras, vehicles_an_instant={}, views_a_vehicle=None,
+            agreement=agreement,
+        )  # fmt: skip
 
-    before = agreeing(0.85, 7.3)
-    assert not rounds._agrees(before, agreeing(0.82, 8.5), "network")
-    assert rounds._agrees(before, agreeing(0.86, 8.5), "network")
-    assert rounds._agrees(before, agreeing(0.82, 8.5), "motion"), "what moves is there"
-    assert not rounds._agrees(before, agreeing(0.86, 7.2), "network")
-    assert not rounds._agrees(before, agreeing(None, 8.5), "network")
+    before = after("motion", 32.0, 9.1)
+    assert not rounds._agrees(before, after("network", 53.0, 10.9)), "each box agrees less"
+    assert rounds._agrees(before, after("network", 36.0, 10.9)), "each box agrees more"
+    assert rounds._agrees(before, after("motion", 53.0, 10.9)), "what moves is there"
+    assert not rounds._agrees(before, after("network", 30.0, 9.0)), "less is found"
+    assert not rounds._agrees(before, after("network", 36.0, 10.9, found=None))
+    assert not rounds._agrees(before, after("network", 36.0, 9.2), 1.02)
 
 
 def test_two_cameras_cannot_judge_each_other(monkeypatch: pytest.MonkeyPatch) -> None:
