@@ -73,7 +73,8 @@ def camera_from_matrices(
     camera = build_camera(K, dist, T_cam_world.inverse(), width_px, height_px, lens, xi)
     if is_plausible(camera):
         return camera
-    hint = " Or: ".join(sentence for sentence, _ in meant_by({"": camera})) or rotation_meant_by(camera, rvec, tvec)
+    meant = [sentence for sentence, _ in meant_by({"": camera})]
+    hint = " Or: ".join(filter(None, [*meant, rotation_meant_by(camera, rvec, tvec)])) or None
     try:
         check_view(camera)
     except CalibrationError as error:

@@ -9,7 +9,7 @@ from __future__ import annotations
 import re
 from collections.abc import Sequence
 from dataclasses import dataclass
-from itertools import combinations
+from itertools import combinations, pairwise
 from pathlib import PurePath
 
 from wibam_core.errors import UnreadableVideo
@@ -29,7 +29,10 @@ _VIEW = re.compile(
 _TOGETHER_NS = 2_000_000_000
 
 #: By how much more or less than an hour times may differ, where a camera notes when a file was finished, ns.
-_HOUR_NS, _HOUR_SLACK_NS = 3_600_000_000_000, 600_000_000_000
+_QUARTER_NS = 900_000_000_000
+#: How far a file's name and when it says that it was made may be from whole quarters of an hour apart, and how near to
+#: one another files are at most made that one camera recorded.
+_BESIDE_NS, _APART_NS = 20_000_000_000, 30_000_000_000
 
 #: A time of day without a date, or a date with two digits for the year: its parts count no files.
 _CLOCK = re.compile(r"(?<!\d)\d{1,2}([-_.:])\d{2}\1\d{2}(?!\d)")
@@ -170,10 +173,13 @@ def _over_summer_time(times_ns: Sequence[int], begins_ns: Sequence[int | None]) 
     made = [begin for begin in begins_ns if begin is not None]
     if len(made) < len(times_ns):
         return None
+    # files that were copied together say that they were made together, and those of an hour then look as over a change
+    if any(later - earlier < _APART_NS for earlier, later in pairwise(sorted(made))):
+        return None
     beside = [time - begin for time, begin in zip(times_ns, made, strict=True)]
-    hour = max(beside) - min(beside)
-    in_two = all(min(abs(one - min(beside)), abs(one - max(beside))) < _HOUR_SLACK_NS for one in beside)
-    return tuple(made) if abs(hour - _HOUR_NS) < _HOUR_SLACK_NS and in_two else None
+    zones = {round(one / _QUARTER_NS) for one in beside}
+    of_a_zone = all(abs(one - round(one / _QUARTER_NS) * _QUARTER_NS) < _BESIDE_NS for one in beside)
+    return tuple(made) if of_a_zone and max(zones) - min(zones) == 4 and len(zones) == 2 else None
 
 
 def _made(names: Sequence[str], begins_ns: Sequence[int | None]) -> list[Named] | None:

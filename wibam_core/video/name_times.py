@@ -9,13 +9,19 @@ from __future__ import annotations
 
 import re
 from collections.abc import Sequence
+from contextlib import suppress
 from datetime import UTC, datetime, timedelta
 from itertools import pairwise
 
 from wibam_core.text import nfc
 
-_HOUR = r"(\d{2}|\d(?=[-_.:h]))"
-_OFFSET = r"(Z(?![A-Za-z])|[+-](?:0\d|1[0-4])[-_.:]?(?:00|15|30|45)(?!\d))?"
+#: One digit is an hour where one and the same sign sets hour, minute and second apart: else it may count something.
+_HOUR = r"(\d{2}|\d(?=-\d\d-\d\d|_\d\d_\d\d|\.\d\d\.\d\d|:\d\d:\d\d|h\d\dm?\d\d))"
+#: Behind a minus only what is a zone and nothing else goes on: a time may also end a span, and a number count files.
+_OFFSET = (
+    r"(Z(?![A-Za-z])|\+(?:0\d|1[0-4])[-_.:]?(?:00|15|30|45)(?!\d)"
+    r"|-(?:(?:0[1-9]|1[0-2]):?00|0[39]:?30)(?![-_.:]?\d))?"
+)
 _TIME_OF_DAY = (
     rf"{_HOUR}[-_.:h]?(\d{{2}})[-_.:m]?(\d{{2}})(?:[.,]?(\d{{3}}))?(?!\d)(?:[\s_-]?([AP])\.?M(?![A-Za-z]))?{_OFFSET}"
 )
@@ -36,8 +42,10 @@ _MONTH_NAMED = re.compile(
     rf"(?<!\d)(\d{{1,2}})[-_. ]({'|'.join(_MONTHS)})[a-z]*[-_. ]((?:19|20)\d{{2}}){_BETWEEN}{_TIME_OF_DAY}",
     re.IGNORECASE,
 )
-#: Unix time in seconds or milliseconds, from 2010 to 2033.
+#: Unix time in seconds or milliseconds, from 2010 to 2033, if not all names are dates that look alike.
 _UNIX = re.compile(r"(?<!\d)(1[3-9]\d{8}|12[6-9]\d{7})(\d{3})?(?!\d)")
+_PACKED_DATES = ("%y%m%d%H%M", "%d%m%y%H%M", "%d%m%Y%H")
+_YEARS = range(1990, 2100)
 _ALL = (_YEAR_FIRST, _YEAR_LAST, _SIGNS, _MONTH_NAMED)
 
 _DAY_NS = 86_400_000_000_000
@@ -72,7 +80,11 @@ def readings_of(stems: Sequence[str]) -> list[tuple[int, ...]] | None:
         Times as if they were UTC, ns, of all files, by rule: two where both rules make dates that lie otherwise apart,
         none where each name is a date, but not all by one rule; None where some name is no date.
     """
-    by_rule = [[_start_ns(stem, month_first=month_first) for stem in stems] for month_first in (False, True)]
+    zoned, unix = _have_zones(stems), not all(map(_is_packed_date, stems))
+    by_rule = [
+        [_start_ns(stem, month_first=month_first, zoned=zoned, unix=unix) for stem in stems]
+        for month_first in (False, True)
+    ]
     if any(day is None and month is None for day, month in zip(*by_rule, strict=True)):
         return None
     readings = [tuple(time for time in times if time is not None) for times in by_rule if None not in times]
@@ -108,31 +120,52 @@ def _agree(times_ns: Sequence[int], created_ns: Sequence[int | None]) -> bool:
     return len(apart) > 1 and max(apart) - min(apart) < _DAY_NS // 2
 
 
-def _start_ns(stem: str, *, month_first: bool) -> int | None:
+def _have_zones(stems: Sequence[str]) -> bool:
+    """Whether each name has its zone: a minus with four digits is none where they differ, as the ends of spans do."""
+    zones = [match.groups()[-1] for stem in stems for pattern in _ALL if (match := pattern.search(stem))]
+    if len(zones) < len(stems) or None in zones:
+        return False
+    return len(set(zones)) == 1 or not any(zone[0] == "-" and ":" not in zone for zone in zones)
+
+
+def _is_packed_date(stem: str) -> bool:
+    """Whether ten digits that may be Unix time are also a date and an hour: 1505241000 is of the 15th of May 2024."""
+    match = _UNIX.search(stem)
+    if match is None or match[2] is not None:
+        return False
+    for form in _PACKED_DATES:
+        with suppress(ValueError):
+            if datetime.strptime(match[1], form).replace(tzinfo=UTC).year in _YEARS:
+                return True
+    return False
+
+
+def _start_ns(stem: str, *, month_first: bool, zoned: bool, unix: bool) -> int | None:
     if match := _YEAR_FIRST.search(stem):
-        found = _time(*match.groups())
+        found = _time(*match.groups(), zoned=zoned)
     elif match := _YEAR_LAST.search(stem):
         first, second, year, *rest = match.groups()
-        found = _time(year, *((first, second) if month_first else (second, first)), *rest)
+        found = _time(year, *((first, second) if month_first else (second, first)), *rest, zoned=zoned)
     elif match := _SIGNS.search(nfc(stem)):  # some systems take letters apart
-        found = _time(*match.groups()[:3], "", *match.groups()[3:], None, None, None)
+        found = _time(*match.groups()[:3], "", *match.groups()[3:], None, None, None, zoned=False)
     elif match := _MONTH_NAMED.search(stem):
         day, month, year, *rest = match.groups()
-        found = _time(year, str(_MONTHS.index(month.lower()) + 1), day, *rest)
-    elif match := _UNIX.search(stem):
+        found = _time(year, str(_MONTHS.index(month.lower()) + 1), day, *rest, zoned=zoned)
+    elif unix and (match := _UNIX.search(stem)):
         return int(match[1]) * 1_000_000_000 + int(match[2] or 0) * 1_000_000
     else:
         return None
     return None if found is None else (found[0] - datetime.fromtimestamp(0, UTC)) // timedelta(microseconds=1) * 1000
 
 
-def _time(*groups: str | None) -> tuple[datetime, bool] | None:
-    """Of year, month, day, what is between, hour, minute, second, thousandths, A or P (of AM and PM), and the zone."""
+def _time(*groups: str | None, zoned: bool = True) -> tuple[datetime, bool] | None:
+    """Of year, month, day, what is between, hour, minute, second, thousandths, A or P (of AM and PM), and the zone.
+
+    The zone counts if ``zoned``. An hour that no half of a day has stays as it is, whichever half is said of it.
+    """
     year, month, day, between, hour, minute, second, thousandths, half, zone = groups
     hours = int(hour or 0)
-    if half is not None:
-        if not 1 <= hours <= 12:
-            return None
+    if half is not None and 1 <= hours <= 12:
         hours = hours % 12 + (12 if half in "pP" else 0)
     try:
         parts = [int(part or 0) for part in (year, month, day, minute, second)]
@@ -141,7 +174,7 @@ def _time(*groups: str | None) -> tuple[datetime, bool] | None:
         return None
     time += timedelta(milliseconds=int(thousandths or 0))
     # a minus may only set a number apart, but for ISO 8601, where a T stands before the time of day
-    if zone is None or (zone[0] == "-" and "T" not in (between or "").upper()):
+    if zone is None or not zoned or (zone[0] == "-" and "T" not in (between or "").upper()):
         return time, False
     if zone in "zZ":
         return time, True

@@ -116,6 +116,16 @@ def test_tables_that_cannot_be_understood_are_refused_with_the_place(text: str, 
     assert refused.value.hint
 
 
+@pytest.mark.parametrize(
+    ("easting", "hint"),
+    [("5.334.567,25", "plain numbers"), ("5334567,2.5", "plain numbers"), ("48.137 N", "decimal degrees")],
+)
+def test_what_is_no_number_is_told_apart_from_degrees(easting: str, hint: str) -> None:
+    with pytest.raises(InputError) as refused:
+        read_named("points.csv", f"easting;northing;u;v\n{easting};1;2;3\n")
+    assert hint in str(refused.value.hint)
+
+
 @pytest.mark.parametrize(("delimiter", "decimal"), [(",", "."), (";", ","), ("\t", ",")])
 def test_points_of_qgis_that_a_spreadsheet_saved_again(delimiter: str, decimal: str) -> None:
     lines = ["mapX,mapY,sourceX,sourceY,enable".replace(",", delimiter)]
@@ -306,8 +316,20 @@ def test_pictures_of_several_cameras_in_one_list_are_told_apart() -> None:
     assert [camera.name for camera in cameras] == ["north", "east"]
 
 
+@pytest.mark.parametrize("behind", [r"D:\flights\my cam.jpg gcp.1", "my cam.JPG", "my cam.tiff 7"])
+def test_names_of_pictures_in_lists_of_opendronemap_may_have_blanks(behind: str) -> None:
+    lines = control_points("EPSG:25832").replace("north.jpg", behind)
+    assert [camera.name for camera in read_named("gcp_list.txt", lines)[1]] == ["my cam"]
+
+
 @pytest.mark.parametrize(
-    ("row", "message"), [("1 2 3 4", "line 2 does not begin"), ("1 2 3 nan 5 a.jpg", "not finite"), ("", "no line has")]
+    ("row", "message"),
+    [
+        ("1 2 3 4", "line 2 does not begin"),
+        ("1 2 3 nan 5 a.jpg", "not finite"),
+        ("1 2 inf 4 5 a.jpg", "not finite"),
+        ("", "no line has"),
+    ],
 )
 def test_broken_control_points_of_opendronemap_are_refused(row: str, message: str) -> None:
     with pytest.raises(InputError, match=message):

@@ -52,17 +52,55 @@ def test_a_time_is_read_in_whatever_way_it_is_written(stem: str) -> None:
         ("20240501T120000Z", 12, True),
         ("20240501_120000-0100", 12, False),  # a running number, maybe
         ("20240501_120000_AMBER", 12, False),
+        ("2024-05-01 14-30-00 PM", 14, False),
+        ("2024-05-01 00-30-00 AM", 0, False),
+        ("cam_2024-05-01T08-00-00-08-15-00", 8, False),  # from, to
+        ("20240501T081000-0015", 8, False),
+        ("20240501T081000-0500-3", 8, False),
     ],
 )
 def test_halves_of_the_day_and_zones_count(stem: str, hour: int, is_utc: bool) -> None:
-    assert time_in(stem) == (datetime(2024, 5, 1, hour, tzinfo=UTC), is_utc)
+    found = time_in(stem)
+    assert found is not None
+    assert (found[0].replace(minute=0), found[1]) == (datetime(2024, 5, 1, hour, tzinfo=UTC), is_utc)
 
 
 @pytest.mark.parametrize(
-    "stem", ["20240501_130000PM", "2024年13月01日_10时00分", "31 Feb 2024 10-00-00", "cam_0042", "5000000000"]
+    "stem",
+    ["2024年13月01日_10时00分", "31 Feb 2024 10-00-00", "cam_0042", "5000000000", "2024-05-01_3_0930", "1505241000"],
 )
 def test_what_is_no_time_is_not_read_as_one(stem: str) -> None:
     assert not readings_of([stem])
+
+
+@pytest.mark.parametrize(
+    "stems",
+    [
+        ("20240501T090000-1000", "20240501T100000-1100"),  # from, to
+        ("20240501T095900-0059", "20240501T101000-0100", "20240501T102000-0101"),  # numbers
+        ("2024-05-01T09-45-00-10-00-00", "2024-05-01T10-00-00-10-20-00"),
+    ],
+)
+def test_what_ends_a_span_or_counts_is_no_zone(stems: tuple[str, ...]) -> None:
+    (times,) = readings_of(stems) or [()]
+    hours = [datetime.fromtimestamp(time / 1e9, UTC).strftime("%H%M") for time in times]
+    assert hours == [stem.replace("-", "").partition("T")[2][:4] for stem in stems]
+
+
+def test_ten_digits_are_dates_where_all_can_be() -> None:
+    hourly = ["1505241000.mp4", "1505241100.mp4", "1605240000.mp4"]
+    assert [named.name for _, named in in_order(hourly[::-1], [None] * 3)] == hourly
+    assert all(named.starts_ns is None for _, named in in_order(hourly, [None] * 3))
+    assert readings_of(["1705241000", "1705249999"]) == [(1705241000 * 10**9, 1705249999 * 10**9)]
+
+
+def test_files_of_an_hour_that_were_copied_together_keep_their_order() -> None:
+    names = ["ch01_20240501100000.mp4", "ch01_20240501110000.mp4"]
+    for copied in (("18:03:00", "18:00:00"), ("18:00:10", "18:00:00"), ("18:00:00", "18:04:00")):
+        begins = [unix_ns(f"2024-05-01T{text}") for text in copied]
+        found = [named for _, named in in_order(names, begins)]
+        assert [named.name for named in found] == names
+        assert found[1].starts_ns - found[0].starts_ns == 3600 * 10**9
 
 
 def test_all_of_a_time_is_taken_out_of_a_name() -> None:

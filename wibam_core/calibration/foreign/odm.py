@@ -9,13 +9,15 @@ from __future__ import annotations
 import math
 import re
 from collections.abc import Sequence
-from pathlib import PurePath
+from pathlib import PureWindowsPath
 
 import numpy as np
 
 from wibam_core.calibration.foreign.base import FoundCamera, Reader, SurveyedPoints
 from wibam_core.errors import InputError
 
+#: The picture of a line, whose name may have blanks; a name of the point may follow.
+_PICTURE = re.compile(r"(.+?\.[A-Za-z]\w{1,4})(?:\s|$)")
 _SYSTEM = re.compile(r"EPSG:\d+|\+proj=.+|WGS ?84 UTM (\d{1,2}) ?([NS])", re.IGNORECASE)
 
 
@@ -27,7 +29,7 @@ def _read(text: str) -> Sequence[FoundCamera]:
     system, *lines = text.splitlines()
     found: dict[str, list[list[float]]] = {}
     for number, line in enumerate(lines, 2):
-        cells = line.split()
+        cells = line.split(maxsplit=5)
         if not cells or cells[0].startswith("#"):
             continue
         try:
@@ -36,11 +38,13 @@ def _read(text: str) -> Sequence[FoundCamera]:
         except ValueError as error:
             raise InputError(
                 f"line {number} does not begin with five numbers: x, y, z, and the pixel's u and v",
-                hint="Correct it, or leave it out.",
+                hint="Correct it, with blanks between the numbers, or leave it out.",
             ) from error
-        if not np.isfinite([x, y, u, v]).all():
+        if not np.isfinite([x, y, u, v]).all() or math.isinf(z):
             raise InputError(f"line {number} has a number that is not finite", hint="Correct it, or leave the row out.")
-        picture = PurePath(cells[5]).stem if len(cells) > 5 else ""
+        behind = cells[5] if len(cells) > 5 else ""
+        file = _PICTURE.match(behind)
+        picture = PureWindowsPath(file[1] if file else behind.partition(" ")[0]).stem
         found.setdefault(picture, []).append([x, y, math.nan, z, u, v])
     if not found:
         raise InputError("no line has a point", hint="Give x, y, z, u, v and the name of the picture, a point a line.")

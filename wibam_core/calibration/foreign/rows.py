@@ -15,7 +15,7 @@ _COMMENTS = ("#", "//", "%")
 _UNIT = re.compile(r"[\s_]*[\[(][^\])]*[\])]\s*$|_(?:m|px|deg)$")
 _BRACKETED = re.compile(r"[\[(]([^\])]*)[\])]\s*\"?\s*$")
 #: Degrees, minutes and seconds, or degrees of a hemisphere.
-_DEGREES = re.compile(r"[+-]?\d{1,3}(?:[:\s]\d{1,2}){1,2}(?:[.,]\d*)?\s*[NSEWO]?|[NSEWO]?\s*[\d.,]+\s*[NSEWO]?")
+_DEGREES = re.compile(r"[+-]?\d{1,3}(?:[:\s]\d{1,2}){1,2}(?:[.,]\d*)?\s*[NSEWO]?|[NSEWO]\s*[\d.,]+|[\d.,]+\s*[NSEWO]")
 
 
 @dataclass(frozen=True)
@@ -48,10 +48,10 @@ class Rows:
             return float(plain)
         except ValueError as error:
             hint = "Give plain numbers, such as 5334567.25."
-            if "°" in text or _DEGREES.fullmatch(text):
-                hint = "Give decimal degrees, such as 48.137154 and -0.127758, south and west negative."
             if re.fullmatch(r"[+-]?\d{1,3}(?:[.,'\u2019\s\u00a0\u202f]\d{3})+(?:[.,]\d*)?", text):
                 raise InputError(f"line {line}, {name}: {text!r} has its thousands set apart", hint=hint) from error
+            if "°" in text or _DEGREES.fullmatch(text):
+                hint = "Give decimal degrees, such as 48.137154 and -0.127758, south and west negative."
             raise InputError(f"line {line}, {name}: {text!r} is no number", hint=hint) from error
 
 
