@@ -1,3 +1,3 @@
 """Everything about cameras, vehicles and learning: the core of the WIBAM service."""
 
-__version__ = "0.7.0"
+__version__ = "0.8.0"
