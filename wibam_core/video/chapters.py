@@ -32,7 +32,7 @@ _TOGETHER_NS = 2_000_000_000
 _QUARTER_NS = 900_000_000_000
 #: How far a file's name and when it says that it was made may be from whole quarters of an hour apart, and how near to
 #: one another files are at most made that one camera recorded.
-_BESIDE_NS, _APART_NS = 20_000_000_000, 30_000_000_000
+_BESIDE_NS, _APART_NS = 10_000_000_000, 30_000_000_000
 
 #: A time of day without a date, or a date with two digits for the year: its parts count no files.
 _CLOCK = re.compile(r"(?<!\d)\d{1,2}([-_.:])\d{2}\1\d{2}(?!\d)")

@@ -42,7 +42,7 @@ _MONTH_NAMED = re.compile(
     rf"(?<!\d)(\d{{1,2}})[-_. ]({'|'.join(_MONTHS)})[a-z]*[-_. ]((?:19|20)\d{{2}}){_BETWEEN}{_TIME_OF_DAY}",
     re.IGNORECASE,
 )
-#: Unix time in seconds or milliseconds, from 2010 to 2033, if not all names are dates that look alike.
+#: Unix time in seconds or milliseconds, from 2010 to 2033, where no name is a date that looks alike.
 _UNIX = re.compile(r"(?<!\d)(1[3-9]\d{8}|12[6-9]\d{7})(\d{3})?(?!\d)")
 _PACKED_DATES = ("%y%m%d%H%M", "%d%m%y%H%M", "%d%m%Y%H")
 _YEARS = range(1990, 2100)
@@ -80,7 +80,7 @@ def readings_of(stems: Sequence[str]) -> list[tuple[int, ...]] | None:
         Times as if they were UTC, ns, of all files, by rule: two where both rules make dates that lie otherwise apart,
         none where each name is a date, but not all by one rule; None where some name is no date.
     """
-    zoned, unix = _have_zones(stems), not all(map(_is_packed_date, stems))
+    zoned, unix = _have_zones(stems), not any(map(_is_packed_date, stems))
     by_rule = [
         [_start_ns(stem, month_first=month_first, zoned=zoned, unix=unix) for stem in stems]
         for month_first in (False, True)

@@ -18,7 +18,7 @@ from wibam_core.errors import InputError
 
 #: The picture of a line, whose name may have blanks; a name of the point may follow.
 _PICTURE = re.compile(r"(.+?\.[A-Za-z]\w{1,4})(?:\s|$)")
-_SYSTEM = re.compile(r"EPSG:\d+|\+proj=.+|WGS ?84 UTM (\d{1,2}) ?([NS])", re.IGNORECASE)
+_SYSTEM = re.compile(r"EPSG:\d+|\+proj=.+|WGS ?84 UTM (0?[1-9]|[1-5]\d|60) ?([NS])", re.IGNORECASE)
 
 
 def _recognises(name: str, text: str) -> bool:
